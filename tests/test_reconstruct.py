@@ -26,7 +26,7 @@ from kinefilter.pipeline.reconstruct.continuity import (
     bridge_matrix,
     coast,
 )
-from kinefilter.pipeline.reconstruct.foothold import bent, between_ends
+from kinefilter.pipeline.reconstruct.foothold import between_ends, leg_to_goal
 from kinefilter.pipeline.reconstruct.recall import Process
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None
     knee, ankle = hip - np.array([[0.0, 0.4, -0.05], [0.0, 0.75, 0.0]])
     thigh, shin = (float(np.linalg.norm(v)) for v in (knee - hip, ankle - knee))
     goal = hip + np.array([0.0, -0.6, 0.0]) + 0.4 * np.array(shift)
-    new_knee, new_ankle = bent(hip, knee, ankle, goal, (thigh, shin))
+    new_knee, new_ankle = leg_to_goal(hip, knee, ankle, goal, (thigh, shin))
     if np.linalg.norm(goal - hip) < 0.99 * (thigh + shin):
         np.testing.assert_allclose(new_ankle, goal, atol=1e-9)
         between, _ = between_ends(hip, new_knee, new_ankle, (thigh, shin))
@@ -117,7 +117,7 @@ def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None
 
 def test_a_leg_whose_ankle_is_where_it_should_be_stays() -> None:
     hip, knee, ankle = np.eye(3)
-    found = bent(hip, knee, ankle, ankle, (0.4, 0.4))
+    found = leg_to_goal(hip, knee, ankle, ankle, (0.4, 0.4))
     np.testing.assert_allclose(found, [knee, ankle], atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""Correction methods, one a file; ``pipeline.methods`` has them by name."""
+"""Correction methods, one file each; ``pipeline.methods`` lists them by name."""
 
 from .hold import Hold
 from .interface import Correction, Corrector, InTurn, Observation

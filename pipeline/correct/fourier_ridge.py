@@ -1,27 +1,26 @@
 """The learned corrector: a Gaussian process over posture and movement, as weights.
 
-The kernel k(x, x') = exp(-|x - x'|^2 / 2) + 0.8 x.x' is a product of features:
-Fourier's at random, orthogonal frequencies (Yu et al. 2016, Orthogonal random features,
-NeurIPS) and the linear ones. So a model is a matrix of weights, and nobody's recording.
-Each arm, each leg and the trunk has a kernel of its own, in which the rest of the body
-counts little: what was learned of a limb then holds in movements where the others do
-something else. Right limbs are corrected as mirror images of left ones.
-What is constant in a person or a clip, and what one person alone has with a posture,
-are random effects in the training covariance, k (1 + a p) + a p + a c with p and c one
-for the same person and clip: strangers get what all people share. Mirrored people count
-as other people. Simulated people teach as well and share an effect of their own, since
-their sensor is not quite a Kinect.
+The kernel k(x, x') = exp(-|x - x'|^2 / 2) + 0.8 x.x' is an inner product of features:
+Fourier features at random orthogonal frequencies (Yu et al. 2016, Orthogonal random
+features, NeurIPS) and linear ones. A model is therefore a matrix of weights, without
+any recording. Arms, legs and trunk have a kernel each, in which the rest of the body
+has little weight, so that training carries over to movements in which the rest of the
+body does something else. Right limbs are corrected as mirror images of left ones.
 
-Limbs on the far side of the body are corrected to what a second sensor, in front, saw
-of people whom the first one saw from the side. A person whom the model learned from
-gets what that person alone has as well, if it is said who it is.
+The constant offset of a person or a clip, and how a person's own offset depends on the
+posture, are random effects in the training covariance, k (1 + a p) + a p + a c with p
+and c equal to 1 for the same person and clip: strangers get what all people share.
+Mirrored people count as other people. Simulated people are training data, too, and
+share an effect of their own, because their sensor is not quite a Kinect.
 
-Where nothing like a posture was learned, correction fades to nothing.
+Limbs on the far side of the body are corrected toward what a second sensor, in front,
+saw of people whom the first one saw from the side. People from the training data who
+are named get their own effects as well. Away from the training data, the correction
+fades to zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,48 +32,38 @@ from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
 from kinefilter.retarget.body_size import chain_matrix
 from kinefilter.retarget.hands import Hands
 
-from .interface import CORRECTED_CONFIDENCE, Correction, Observation
+from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
 from .posture_features import REACH, PostureFeatures
-from .random_features import RandomFeatures, direction_to, likeness_to
+from .random_features import RandomFeatures, direction_to, similarity_to
 
 # Chosen by leaving one of six people out, and one of their movements.
-_BONE_SHARE = 0.3  # of a person's odd proportions that the sensor makes up
-# Likeness of a part at which nothing, and all, of what moves its joints is taken: of
-# knees, ankles and feet, and of all others.
-_STRANGE_LEG, _KNOWN_LEG = 0.85, 1.0
-_STRANGE, _KNOWN = 0.7, 0.85
-_WRISTS_TAKEN = 0.8  # of what moves them, for the sake of movements not learned from
-# Likeness of the whole posture at which nothing, and all, counts.
+_BONE_SHARE = 0.3  # of a person's unusual proportions that is due to the sensor
+# Similarity of a part at which none, and all, of the moving offset is applied: for
+# knees, ankles and feet, and for all other joints.
+_STRANGE_LEG, _FAMILIAR_LEG = 0.85, 1.0
+_STRANGE, _FAMILIAR = 0.7, 0.85
+_WRIST_SHARE = 0.8  # of the wrists' moving offset, for movements not in the training
+# Similarity of the whole posture at which none, and all, of the offsets is applied.
 _FAR, _NEAR = 0.4, 0.8
-# Seconds over which likeness is averaged: for what moves, the far side, the constant.
-_LATELY, _CALM, _CONSTANT = 0.5, 3.0, 10.0
+# Seconds over which similarity is averaged: that of a part, that of the posture, and
+# the share of the constant offset that follows from it.
+_FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
-_TURN = 1.0  # s over which the view angle is averaged
+_VIEW_TIME = 1.0  # s over which the view angle is averaged
 
-_CHUNK = 2048  # frames at a time: features are many times the positions
+_CHUNK = 2048  # frames at a time: features take far more memory than positions
 
 
 class FourierRidge(LearnedCorrector):
-    """Adds to each joint the offset to mocap that posture and movement tell.
+    """Adds to each joint the offset to mocap, predicted from posture and movement.
 
-    Skeletons of all sensors have the joints that it knows; others go along with the
-    limb that they are on.
-
-    ``lab.methods.fourier_ridge_learner`` teaches it.
-
-    Args:
-        skeleton: The joints.
+    It corrects the joints that the skeletons of all sensors have; the others move with
+    the limb that they are on. ``lab.methods.fourier_ridge_learner`` trains it.
     """
 
-    fitted = (
-        *("weights", "live_weights", "mean", "offset", "bones", "centers", "seed"),
-        *("arm_centers", "leg_centers", "trunk_centers"),
-        *("far_weights", "live_far_weights", "far_centers"),
-        *("people", "own_weights", "live_own_weights"),
-    )
     weights_: Singles
     live_weights_: Singles
     mean_: Singles
@@ -91,6 +80,7 @@ class FourierRidge(LearnedCorrector):
     people_: NDArray[np.str_]
     own_weights_: Singles
     live_own_weights_: Singles
+    fitted = tuple(name.removesuffix("_") for name in __annotations__)  # all of these
 
     def __init__(self, skeleton: Skeleton) -> None:
         super().__init__(skeleton)
@@ -104,51 +94,46 @@ class FourierRidge(LearnedCorrector):
         names = [skeleton.joints[j] for j in self.joints_]
         leg = np.array([name.startswith(("Knee", "Ankle", "Foot")) for name in names])
         self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
-        self._known = np.where(leg, _KNOWN_LEG, _KNOWN)
+        self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         super().start()
         self._past: list[tuple[float, Array]] = []
         self._means: tuple[Any, ...] = ()
 
     def _prepare(self) -> None:
-        described = self._described
+        parts, every = self._described.parts, np.ones(len(self.mean_), dtype=bool)
+        centers = [(every, self.centers_), (every, self.far_centers_)]
+        of_parts = (self.arm_centers_, self.leg_centers_, self.trunk_centers_)
+        centers += zip((part.own for part in parts), of_parts, strict=True)
+        # Of whole takes, then of live motion.
         self._features = list[list[RandomFeatures]]()
         self._centers = list[list[tuple[Flags, Singles, Singles]]]()
-        everything = np.ones(len(self.mean_), dtype=bool)
-        alike = [
-            (everything, self.centers_),
-            (everything, self.far_centers_),
-            *zip(
-                (part.own for part in described.parts),
-                (self.arm_centers_, self.leg_centers_, self.trunk_centers_),
-                strict=True,
-            ),
-        ]
-        for weights, some in (
-            (self.weights_, np.arange(len(everything))),
-            (self.live_weights_, described.live),
+        self._mirrors = list[tuple[Indices, Singles]]()
+        order, signs = self._described.mirror
+        for weights, columns in (
+            (self.weights_, np.arange(len(every))),
+            (self.live_weights_, self._described.live),
         ):
-            mean, seed = self.mean_[some], int(self.seed_)
+            mean, seed = self.mean_[columns], int(self.seed_)
             count = len(weights) - len(mean)
             self._features.append(
-                [
-                    RandomFeatures(mean, count, seed, part.weights[some])
-                    for part in described.parts
-                ]
+                [RandomFeatures(mean, count, seed, p.weights[columns]) for p in parts]
             )
+            own_order = np.asarray(np.searchsorted(columns, order[columns]))
+            self._mirrors.append((own_order, signs[columns].astype(np.float32)))
             self._centers.append([])
-            for own, centers in alike:
-                kept = np.isin(np.flatnonzero(own), some)
-                near = np.ascontiguousarray(centers[:, kept])
-                self._centers[-1].append((own[some], near, np.sum(near**2, axis=1)))
+            for own, found in centers:
+                kept = np.isin(np.flatnonzero(own), columns)
+                near = np.ascontiguousarray(found[:, kept])
+                self._centers[-1].append((own[columns], near, np.sum(near**2, axis=1)))
         self.know(None)
 
     def know(self, person: str | None) -> None:
-        """Correct this person, if the model learned from them, or else a stranger."""
+        """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
         self._offsets: list[list[tuple[Singles, Array]]] = []
@@ -156,80 +141,68 @@ class FourierRidge(LearnedCorrector):
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
         ):
-            beside = far if len(far) else np.zeros_like(shared)
-            sides = []
+            far = far if len(far) else np.zeros_like(shared)
+            self._offsets.append([])
             for side in range(2):
-                here, constant = shared, self.offset_
+                near, constant = shared, self.offset_
                 if self._person is not None:
-                    here = shared + own[self._person, side, :-1]
+                    near = shared + own[self._person, side, :-1]
                     constant = constant + own[self._person, side, -1]
                 constants = np.stack([constant, np.zeros_like(constant)])
-                sides.append((np.stack([here, beside]), constants))
-            self._offsets.append(sides)
+                self._offsets[-1].append((np.stack([near, far]), constants))
 
-    def _told(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
-        """Return offsets of frames, those of the far side, and their likenesses.
+    def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
+        """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
 
-        Those are of the whole posture to people with markers and to those beside a
-        sensor, shape (T, 2), and of the part of each known joint, shape (T, M).
+        These are of the whole posture to frontal and to side-on training data, shape
+        (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
-        described = self._described
-        order, signs = described.live_mirror if live else described.mirror
-        sides = (features, features[:, order] * signs.astype(np.float32))
+        described, (order, signs) = self._described, self._mirrors[live]
+        sides = (features, features[:, order] * signs)
         whole, by_part = self._centers[live][:2], self._centers[live][2:]
-        found, parts = [], []
+        offsets, parts = [], []
         for side, (weights, constants) in zip(sides, self._offsets[live], strict=True):
-            told, first = [], 0
+            predicted, first = [], 0
             for part, random in zip(described.parts, self._features[live], strict=True):
                 last = first + 3 * len(part.joints)
-                told.append(random(side) @ weights[..., first:last])
+                predicted.append(random(side) @ weights[..., first:last])
                 first = last
-            offsets = np.concatenate(told, axis=2) + constants[:, None]
-            found.append(offsets.reshape(2, len(side), -1, 3))
+            of_side = np.concatenate(predicted, axis=2) + constants[:, None]
+            offsets.append(of_side.reshape(2, len(side), -1, 3))
             parts.append(
-                [likeness_to(side[:, own], near, size) for own, near, size in by_part]
+                [similarity_to(side[:, own], near, size) for own, near, size in by_part]
             )
-        likeness = [likeness_to(features, near, size) for _, near, size in whole]
-        alike = np.array(parts)[described.mirrored_side.astype(int), described.part_of]
-        return described.joined(*found), np.stack(likeness, axis=1), alike.T
+        posture = [similarity_to(features, near, size) for _, near, size in whole]
+        joints = np.array(parts)[described.is_right.astype(int), described.part_of]
+        return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
 
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
-    ) -> Correction:
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)
         points = self._described.points(posture)
         count = len(points)
-        found = np.empty((2, *points.shape))
-        likeness, alike = np.empty((count, 2)), np.empty(points.shape[:2])
+        offsets = np.empty((2, *points.shape))
+        similar, parts = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for some in chunks(count, _CHUNK):
             features = self._described(
                 points[some], points, take.time[some], take.time, toward[some]
             )
-            found[:, some], likeness[some], alike[some] = self._told(
-                features, live=False
-            )
+            predicted = self._predict(features, live=False)
+            offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
-        window = int(max(_TURN / step, 1.0))
+        window = int(max(_VIEW_TIME / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
-        near, lately, lasting = (
-            gaussian_filter1d(values, over / step, axis=0, mode="nearest")
-            for values, over in (
-                (alike, _LATELY),
-                (likeness, _CALM),
-                (_share_of_constant(likeness, toward), _CONSTANT),
-            )
+        share = _share_of_constant(similar, toward)
+        parts, similar, share = (
+            gaussian_filter1d(values, span / step, axis=0, mode="nearest")
+            for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
         )
-        here, far = found
-        constant = np.broadcast_to(here.mean(axis=0), here.shape)
-        offsets = _Offsets(
-            constant, here - constant, far, near, lately, lasting, toward
-        )
-        return self._moved(take, posture, offsets)
+        near, far = offsets
+        constant = np.broadcast_to(near.mean(axis=0), near.shape)
+        found = _Offsets(constant, near - constant, far, parts, similar, share, toward)
+        return self._apply(take, posture, found)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
@@ -238,94 +211,84 @@ class FourierRidge(LearnedCorrector):
         elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
         self._past = past = [*past, (now, points)]
-        times, before = np.array([t for t, _ in past]), np.array([x for _, x in past])
+        times, around = np.array([t for t, _ in past]), np.array([x for _, x in past])
         toward = direction_to(observation.sensor, 1)
         features = self._described(
-            points[None], before, np.array([now]), times, toward, live=True
+            points[None], around, np.array([now]), times, toward, live=True
         )
-        ((found,), (far,)), (likeness,), (alike,) = self._told(features, live=True)
-        spans = (_CONSTANT, _LATELY, _CALM, _CONSTANT, _TURN / 2.0)
-        lasting = _share_of_constant(likeness, toward[0])
-        latest = (found, alike, likeness, lasting, toward[0])
+        ((near,), (far,)), (similar,), (parts,) = self._predict(features, live=True)
+        share = _share_of_constant(similar, toward[0])
+        spans = (_SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
+        latest = (near, parts, similar, share, toward[0])
+        means = zip(self._means or latest, latest, spans, strict=True)
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
-            for mean, value, span in zip(
-                self._means or latest, latest, spans, strict=True
-            )
+            for mean, value, span in means
         )
-        constant, *lately = self._means
-        offsets = _Offsets(constant, found - constant, far, *lately)
-        return self._moved(observation, posture, offsets)
+        constant, *averaged = self._means
+        found = _Offsets(constant, near - constant, far, *averaged)
+        return self._apply(observation, posture, found)
 
-    def _moved(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
-        """Return the postures, moved as far as their like was learned from."""
+    def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
+        """Return the postures plus the offsets, weighted by similarity."""
         side = found.toward[..., :1] * self._described.sides
-        off_frontal = _off_frontal_share(side, found.lately)
-        beside = np.where(side < 0.0, off_frontal, 0.0)
-        share = _ramp(found.alike, self._strange, self._known)
+        off_frontal = _off_frontal_share(side, found.similar)
+        far_side = np.where(side < 0.0, off_frontal, 0.0)
+        share = _ramp(found.parts, self._strange, self._familiar)
         if self._person is None:
-            share = np.where(self._wrists, _WRISTS_TAKEN * share, share)
-        offsets = found.lasting[..., None] * found.constant
+            share = np.where(self._wrists, _WRIST_SHARE * share, share)
+        offsets = found.share[..., None] * found.constant
         offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
-        offsets = offsets + beside[..., None] * found.far
+        offsets = offsets + far_side[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
-        shift = offsets[..., self._described.follows, :]
+        shift = offsets[..., self._described.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
-            parent, lost = self.skeleton.parents[j], missing[..., j, None]
-            hung = shift[..., parent, :]
-            shift[..., j, :] = np.where(lost, hung, shift[..., j, :])
+            of_parent = shift[..., self.skeleton.parents[j], :]
+            own = shift[..., j, :]
+            shift[..., j, :] = np.where(missing[..., j, None], of_parent, own)
         moved = posture + shift
-        if beside.any():
-            # A hand behind the body is the sensor's guess as well.
-            hidden = beside[..., self._described.follows]
+        if far_side.any():
+            # A hand behind the body is a guess of the sensor, too.
+            hidden = far_side[..., self._described.carrier]
             moved = self._hands.straightened(moved, hidden, self._body)
         if seen.lengths is not None and self._person is None:
             odd = self._described.proportions(seen.lengths) - self.bones_
-            scale = np.exp(-_BONE_SHARE * found.lasting * odd)[..., None]
+            scale = np.exp(-_BONE_SHARE * found.share * odd)[..., None]
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._described.limbs, :] *= scale
             moved = self._chain @ bones
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(moved, None, confidence, found.lately[..., 0])
+        return Correction(moved, None, confidence, found.similar[..., 0])
 
 
 class _Offsets(NamedTuple):
-    """What the model says of frames, and how much it knows about them."""
+    """Predicted offsets of frames, and what decides how much of them is applied."""
 
-    constant: Array
-    """What stays, of all known joints [m], shape (..., M, 3)."""
-    moving: Array
-    """What moves, likewise."""
-    far: Array
-    """What limbs on the far side are off, likewise."""
-    alike: Array
-    """Likeness of the joint's part to what was learned from, just now, (..., M)."""
-    lately: Array
-    """Likeness to people with markers, and to those beside a sensor, over seconds."""
-    lasting: Array
-    """Share of the constant that is taken, over a longer time, shape (..., 1)."""
-    toward: Array
-    """Direction to the sensor, shape (..., 2)."""
+    constant: Array  # of all known joints [m], shape (..., M, 3)
+    moving: Array  # offsets less their constant part, likewise
+    far: Array  # offsets of limbs on the far side of the body, likewise
+    parts: Array  # similarity of each joint's part to the training data, (..., M)
+    similar: Array  # similarity of the posture to frontal and side-on data, (..., 2)
+    share: Array  # of the constant part to apply, shape (..., 1)
+    toward: Array  # direction to the sensor, shape (..., 2)
 
 
-def _share_of_constant(likeness: Array, toward: Array) -> Array:
-    """Return the share of the constant offset, by likeness (..., 2).
+def _share_of_constant(similar: Array, toward: Array) -> Array:
+    """Return the share of the constant offset to apply, shape (..., 1).
 
-    The sensor misplaces the joints of who is seen from the side in another way.
+    From the side, the sensor misplaces joints in another way than from the front.
     """
-    off_frontal = _off_frontal_share(toward[..., :1], likeness)
-    return _ramp(likeness[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
+    off_frontal = _off_frontal_share(toward[..., :1], similar)
+    return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
-def _off_frontal_share(sine: Array, likeness: Array) -> Array:
-    """Return how far a view counts as off-frontal, 0 to 1.
+def _off_frontal_share(sine: Array, similar: Array) -> Array:
+    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training data.
 
-    Args:
-        sine: Of the view angle, 0 where the person faces the sensor.
-        likeness: As ``_Offsets.lately``: no view counts that nothing was learned from.
+    ``sine`` is that of the view angle, 0 for a person who faces the sensor.
     """
     off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
-    return off_frontal * _ramp(likeness[..., 1:], _FAR, _NEAR)
+    return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:

@@ -1,11 +1,7 @@
-"""How a prior posture and a measured one are blended, and how gaps are filled.
-
-``Hold`` corrects nothing: measured joints stay, missing ones keep their last bones.
-"""
+"""Blending a prior posture with a measured one, and filling missing joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -15,45 +11,41 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
 
-from .interface import Correction, Corrector, Observation, measured_only
+from .interface import Correction, Corrector, Frames, Observation, measured_only
 
 UNRELIABLE, RELIABLE = 0.3, 0.95
-"""Below the first reliability a measurement is ignored; from the second on it is taken
-as it is. With 0.6 and 0.85 less of the error of simulated takes goes away; those, and
-0.4 and 0.95, do more harm to recorded people. Chiang's 0.7 in the place of both misses
-most of what helps."""
+"""Reliability up to which a measurement is ignored, and from which it is kept as it is.
+Limits of 0.6 and 0.85 remove less of the error of simulated takes; they, and 0.4 and
+0.95, do more harm to recorded people. Chiang's single threshold of 0.7 loses most of
+the benefit."""
 
-_FIRMEST = 1e3  # weight of a fully trusted joint against one bone's pull
+_FIRMEST = 1e3  # weight of a fully trusted joint, against the pull of one bone
 
 
 def measurement_confidence(
     reliability: Array, geometry: Array, missing: Flags, coverage: float
 ) -> Array:
-    """Return how far each joint follows its measurement, in [0, 1], shape (J,).
+    """Return how closely each joint follows its measurement, in [0, 1], shape (J,).
 
-    Reliable joints stay where they are. What is unreliable follows the prior as far as
-    the prior knows the posture; where it does not, it leans on the measurement as far
-    as the positions by themselves look sound.
-
-    Args:
-        reliability: Reliability, shape (J,).
-        geometry: The reliability without the tracking state, shape (J,).
-        missing: Nothing was measured, shape (J,).
-        coverage: How well the prior knows the posture, in [0, 1].
+    Reliable joints stay where they are. Unreliable ones follow the prior to the extent
+    that it knows the posture; where it does not, they stay near the measurement to the
+    extent that the positions alone look plausible. ``geometry`` is the reliability
+    without the tracking state; ``coverage``, in [0, 1], is how well the prior knows the
+    posture.
     """
     span = RELIABLE - UNRELIABLE
     confidence = np.clip((reliability - UNRELIABLE) / span, 0.0, 1.0)
-    sound = np.clip((geometry - UNRELIABLE) / span, 0.0, 1.0)
-    confidence = confidence + (1.0 - confidence) * (1.0 - coverage) * sound
+    plausible = np.clip((geometry - UNRELIABLE) / span, 0.0, 1.0)
+    confidence = confidence + (1.0 - confidence) * (1.0 - coverage) * plausible
     return np.where(missing, 0.0, confidence)
 
 
 class Blend:
-    """Moves a prior posture onto the trusted part of a measured one.
+    """Moves a prior posture onto the trusted joints of a measured one.
 
     The residual (measured minus prior) of trusted joints spreads over the skeleton to
     the others: it minimizes sum of w_j |r_j - residual_j|^2 + sum over bones of
-    |r_j - r_parent|^2 with w = c / (1 - c) and the confidence c. Trusted joints end
+    |r_j - r_parent|^2 with w = c / (1 - c) and the confidence c. Trusted joints end up
     where they were measured, the others keep the prior's bones as far as their
     neighbors allow, and the result is continuous in the confidence.
     """
@@ -68,10 +60,7 @@ class Blend:
     def __call__(self, prior: Array, measured: Array, confidence: Array) -> Array:
         """Return the blended posture [m], shape (J, 3).
 
-        Args:
-            prior: Joint positions [m], finite, shape (J, 3).
-            measured: Joint positions [m], NaN only where the confidence is 0, (J, 3).
-            confidence: Share of the measurement, in [0, 1], shape (J,).
+        ``measured`` may be NaN where its share, ``confidence`` in [0, 1] (J,), is 0.
         """
         if confidence.min() >= 1.0:
             return measured.copy()
@@ -79,74 +68,59 @@ class Blend:
         weights = confidence / np.maximum(1.0 - confidence, 1.0 / _FIRMEST)
         matrix = self._laplacian.copy()
         matrix.flat[:: len(confidence) + 1] += weights + 1e-6
-        # LAPACK itself: the wrapper takes longer than so small a solution.
-        spread = dposv(matrix, weights[:, None] * residual)[1]
-        blended = prior + spread
-        # Joints with confidence 1 stay exactly where they were measured.
+        # LAPACK directly: scipy's wrapper takes longer than so small a solve.
+        blended = prior + dposv(matrix, weights[:, None] * residual)[1]
+        # Fully trusted joints stay exactly where they were measured.
         return np.where(confidence[:, None] >= 1.0, measured, blended)
 
 
 class Hold(Corrector):
-    """Passes measurements through and hangs missing joints on their last bones.
+    """Corrects nothing: measured joints stay, missing ones keep their last bones.
 
-    Until they are seen, hands and feet go on as at rest from the bone before.
+    Hands and feet that have not been measured yet extend the forearm or shin as in the
+    rest pose.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._blend = Blend(skeleton)
         rest = standard_body(skeleton).rest_positions
         self._rest = rest - rest[skeleton.root]
-        self._parents, limbs = skeleton.parents, ("Wrist", "Ankle")
-        ends = {joint for limb in limbs for joint in skeleton.sides(limb)}
-        self._ends: list[int] = []  # what is beyond them, parents first
-        for j in skeleton.order:
-            if skeleton.parents[j] in ends:
-                ends.add(j)
-                self._ends.append(j)
+        self._parents = skeleton.parents
+        ends = [*skeleton.sides("Wrist"), *skeleton.sides("Ankle")]
+        self._tips = [tip for end in ends for tip in skeleton.beyond(end)]
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
-        self._last = self._rest
-        self._met = np.zeros(len(self._rest), dtype=np.bool_)
+        """Reset the state for a new motion."""
+        self._last: Array = self._rest
+        self._measured = np.zeros(len(self._rest), dtype=np.bool_)
 
-    def _hang(self, postures: Array, met: Flags) -> None:
-        """Put hands and feet that nobody has met yet in their places.
-
-        Postures [m] are (T, J, 3); ``met`` (T, J): the joint was seen by that frame.
-        """
-        for j in self._ends:
-            unmet = postures[~met[:, j]]
-            if len(unmet):
-                p = self._parents[j]
+    def _extend(self, postures: Array, measured: Flags) -> None:
+        """Place hands and feet that were not ``measured`` yet in postures (T, J, 3)."""
+        for j in self._tips:
+            unknown = ~measured[:, j]
+            if unknown.any():
+                posture, p = postures[unknown], self._parents[j]
                 above = self._parents[p]
                 turn = between(
-                    self._rest[p] - self._rest[above], unmet[:, p] - unmet[:, above]
+                    self._rest[p] - self._rest[above], posture[:, p] - posture[:, above]
                 )
                 own = rotate(turn, self._rest[j] - self._rest[p])
-                postures[~met[:, j], j] = unmet[:, p] + own
+                postures[unknown, j] = posture[:, p] + own
 
     def fill(self, positions: Array) -> Array:
-        """Return the next frames filled as ``step`` does it, all at once, (T, J, 3).
-
-        Args:
-            positions: Joint positions [m], NaN where missing, shape (T, J, 3).
-        """
+        """Return the next frames [m], (T, J, 3), with NaN filled as by ``step``."""
         filled = positions.copy()
         missing = np.isnan(positions[..., 0])
         for k in np.flatnonzero(missing.any(axis=1)):
             last = filled[k - 1] if k else self._last
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
-        met = np.logical_or.accumulate(np.vstack([self._met, ~missing]))[1:]
-        self._hang(filled, met)
-        self._met, self._last = met[-1], filled[-1]
+        measured = np.logical_or.accumulate(np.vstack([self._measured, ~missing]))[1:]
+        self._extend(filled, measured)
+        self._measured, self._last = measured[-1], filled[-1]
         return filled
 
-    def whole(
-        self,
-        take: Observation,
-        frames: Iterable[int] | None = None,  # noqa: ARG002 - at once
-    ) -> Correction:
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
         """Fill a whole take."""
         self.start()
         found = measured_only(take.positions)
@@ -159,14 +133,11 @@ class Hold(Corrector):
         return Correction(posture, None, confidence, float("nan"))
 
     def follow(self, positions: Array, confidence: Array) -> Array:
-        """Return the next frame [m], each joint as far held as it is not trusted.
+        """Return the next frame [m]; the less a joint is trusted, the more it is held.
 
-        Args:
-            positions: Joint positions [m], NaN only where the confidence is 0, (J, 3).
-            confidence: Share of the measurement, in [0, 1], shape (J,).
+        Positions (J, 3) may be NaN where their share, ``confidence`` (J,), is 0.
         """
-        posture = self._blend(self._last, positions, confidence)
-        self._met = self._met | (confidence > 0.0)
-        self._hang(posture[None], self._met[None])
-        self._last = posture
-        return posture
+        self._last = self._blend(self._last, positions, confidence)
+        self._measured = self._measured | (confidence > 0.0)
+        self._extend(self._last[None], self._measured[None])
+        return self._last

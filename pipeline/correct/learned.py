@@ -1,4 +1,4 @@
-"""Correction methods that have learned from pairs of Kinect and mocap."""
+"""Correction methods that were trained on pairs of Kinect and mocap."""
 
 from __future__ import annotations
 
@@ -17,27 +17,24 @@ from .interface import Corrector
 
 
 class LearnedCorrector(Corrector):
-    """A correction method that learns from pairs of Kinect and mocap.
+    """A correction method that is trained on pairs of Kinect and mocap.
 
-    Fitted state ends in ``_``; ``Learner`` in the lab's methods computes it.
-
-    Args:
-        skeleton: The joints.
+    Fitted state ends in ``_``; a ``Learner`` of the lab computes it.
     """
 
     fitted: ClassVar[tuple[str, ...]]
     """Names of the arrays in a model file: ``joints`` is the attribute ``joints_``."""
     adjustable: ClassVar[tuple[str, ...]] = ()
-    """Keywords that may differ from those it was fitted with."""
+    """Keywords that can change after training."""
     joints_: Indices
-    """The joints that it corrects, shape (M,)."""
+    """Indices of the corrected joints, shape (M,)."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
         self._hold = Hold(skeleton)
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._hold.start()
 
     @property
@@ -53,11 +50,7 @@ class LearnedCorrector(Corrector):
         return fitted
 
     def adjusted(self, **settings: Any) -> Self:
-        """Return the same fitted method with other keywords.
-
-        Raises:
-            InputError: One of them decided what was learned.
-        """
+        """Return a copy with other keywords; InputError for those fixed by training."""
         for name, value in settings.items():
             own = self.settings[name]
             if name not in self.adjustable and value != own:
@@ -70,10 +63,10 @@ class LearnedCorrector(Corrector):
 
     @classmethod
     def from_arrays(cls, skeleton: Skeleton, arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return the fitted corrector that ``arrays`` described."""
+        """Return the fitted corrector from the arrays that ``arrays`` returned."""
         hints = keyword_hints(cls)
         settings = json.loads(str(arrays["settings"])) if hints else {}
-        # None where a keyword may be None, and always of the type that it should have.
+        # ``converted`` gives each setting its declared type; None stays where allowed.
         known = {n: converted(settings[n], hints[n], n) for n in hints if n in settings}
         model = cls(skeleton, **known)
         for name in cls.fitted:

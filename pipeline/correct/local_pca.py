@@ -14,7 +14,7 @@ from kinefilter.pipeline.database import PostureDatabase
 from .hold import Blend, measurement_confidence
 from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
 from .posture_space import (
-    WEIGHTS,
+    PAPER_WEIGHTS,
     EnergyWeights,
     NaturalSpaces,
     PostureEnergy,
@@ -26,33 +26,29 @@ from .posture_space import (
 Search = Literal["solver", "stochastic"]
 """How the posture of least energy is found: the solver, or the paper's sampling."""
 
-_SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
+_SENSOR_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, on the standard body
 _NEIGHBORS = 5
-"""Postures that span a posture space. Shum's 30 leave room for postures that nobody
-takes where few joints are reliable: behind a box or a desk, 10 take 38 % of the error
-of simulated takes, 7 take 40 % and 5 take 41 %."""
-_AS_MEASURED = 0.001  # m: what a joint may be moved and still count as measured
-_COVERAGE_MEMORY = 0.8  # share of the last frame's coverage: no switching in a frame
+"""Postures that span a posture space. Shum's 30 leave room for unnatural postures where
+few joints are reliable: behind a box or a desk, 10 remove 38 % of the error of
+simulated takes, 7 remove 40 % and 5 remove 41 %."""
+_AS_MEASURED = 0.001  # m: a joint that moves less still counts as measured
+_COVERAGE_MEMORY = 0.8  # weight of the last frame's coverage, against sudden changes
 
 
 class LocalPCA(Corrector):
     """Finds the natural posture that fits the reliable joints, and follows it.
 
-    Reliable joints stay where they are, but for what a database of recorded postures
-    knows to be no posture of people.
+    Reliable joints stay where they are, except where a database of recorded postures
+    shows that no person has such a posture.
 
     Args:
-        database: Natural postures.
-        neighbors: K, postures that span the natural posture space.
-        dimensions: Most dimensions of that space.
+        neighbors: K, the number of postures that span the natural posture space.
+        dimensions: Maximum number of dimensions of that space.
         search: How the posture of least energy is found.
-        steps: Most steps of the stochastic search.
-        samples: Samples in each of them.
+        steps: Maximum number of steps of the stochastic search.
+        samples: Samples per step.
         memory: Weight of the last posture in the query, against a reliability of 1.
-        control: Weights of the energy's terms, as ``EnergyWeights`` has them.
-        style: Likewise, as the next two.
-        kinematics: Segment lengths.
-        continuity: Steady movement.
+        control, style, kinematics, continuity: Weights as in ``EnergyWeights``.
         seed: Seed of the stochastic search.
     """
 
@@ -66,91 +62,78 @@ class LocalPCA(Corrector):
         steps: int = 20,
         samples: int = 100,
         memory: float = 0.05,
-        control: float = WEIGHTS.control,
-        style: float = WEIGHTS.style,
-        kinematics: float = WEIGHTS.kinematics,
-        continuity: float = WEIGHTS.continuity,
+        control: float = PAPER_WEIGHTS.control,
+        style: float = PAPER_WEIGHTS.style,
+        kinematics: float = PAPER_WEIGHTS.kinematics,
+        continuity: float = PAPER_WEIGHTS.continuity,
         seed: int = 0,
     ) -> None:
         if neighbors < 2:
             raise InputError(
                 f"neighbors={neighbors}: a posture space needs two or more"
             )
-        self.database = database
-        self.neighbors = neighbors
-        self.dimensions = dimensions
-        self.search = search
-        self.steps = steps
-        self.samples = samples
-        self.memory = memory
+        self.database, self.neighbors = database, neighbors
+        self.dimensions, self.memory = dimensions, memory
+        self.search, self.steps, self.samples, self.seed = search, steps, samples, seed
         self.weights = EnergyWeights(control, style, kinematics, continuity)
-        self.seed = seed
         self._body = standard_body(database.skeleton)
         self._blend = Blend(database.skeleton)
-        # A script imagines motions: how its postures vary says little about people.
+        # Scripted motions are invented: how they vary says little about people.
         self._spaces = NaturalSpaces(database) if database.recorded else None
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._generator = np.random.default_rng(self.seed)
         self._last: list[Array] = []
         self._coverage: float | None = None
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        measured, missing = observation.positions, np.isnan(observation.positions[:, 0])
+        measured, geometry = observation.positions, observation.geometry
+        missing = np.isnan(measured[:, 0])
         reliability = np.where(missing, 0.0, observation.reliability)
         prior, nearest = self.synthesize(measured, reliability)
         coverage = self._cover(measured, reliability, nearest)
-        confidence = measurement_confidence(
-            reliability, observation.geometry, missing, coverage
-        )
+        confidence = measurement_confidence(reliability, geometry, missing, coverage)
         posture = self._blend(prior, measured, confidence)
         if self._spaces is not None:
             shift = self._spaces.shift(posture)
             posture = posture + shift
             moved = np.vecdot(shift, shift) > _AS_MEASURED**2
-            confidence = np.where(
-                moved, np.minimum(confidence, CORRECTED_CONFIDENCE), confidence
-            )
-        return Correction(
-            posture, self.orientation(prior, nearest, reliability), confidence, coverage
-        )
+            most = np.where(moved, CORRECTED_CONFIDENCE, 1.0)
+            confidence = np.minimum(confidence, most)
+        rotations = self.orientation(prior, nearest, reliability)
+        return Correction(posture, rotations, confidence, coverage)
 
     def synthesize(self, measured: Array, reliability: Array) -> tuple[Array, Indices]:
         """Return the natural posture of least energy [m], (J, 3), and its neighbors.
 
-        Args:
-            measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
-            reliability: Reliability of each joint, shape (J,).
+        ``measured`` positions [m] (J, 3) may be NaN where the reliability (J,) is 0.
         """
         nearest = self._neighbors(measured, reliability)
         postures = self.database.flat[nearest].astype(float)
-        space = PostureSpace(postures, self.dimensions)
+        space, steady = PostureSpace(postures, self.dimensions), None
+        if self._last:
+            steady = 2.0 * self._last[1] - self._last[0]  # eq. 14
         self.energy = PostureEnergy(
-            space, self._body, measured, reliability, self._steady(), self.weights
+            space, self._body, measured, reliability, steady, self.weights
         )
         start = space.project(self._last[-1] if self._last else postures[0])
         if self.search == "solver":
             latent = solve(self.energy, start)
         else:
-            latent = stochastic_search(
-                self.energy,
-                start,
-                self._generator,
-                steps=self.steps,
-                samples=self.samples,
-            )
+            limits = {"steps": self.steps, "samples": self.samples}
+            latent = stochastic_search(self.energy, start, self._generator, **limits)
         posture = space.posture(latent)
-        self._last = [*self._last[-1:], posture]
+        self._last = [self._last[1] if self._last else posture, posture]
         return posture.reshape(-1, 3), nearest
 
     def _neighbors(self, measured: Array, reliability: Array) -> Indices:
         """Return the database postures nearest to the reliable joints (eq. 9).
 
-        The last posture stands in with a small weight, so that joints nobody trusts do
-        not wander through the database from frame to frame.
+        The last posture is part of the query with a small weight, so that unreliable
+        joints do not wander through the database from frame to frame.
         """
         if not self._last:
             return self.database.neighbors(measured, reliability, self.neighbors)[0]
@@ -161,43 +144,30 @@ class LocalPCA(Corrector):
         query = total / np.maximum(weights, 1e-12)[:, None]
         return self.database.neighbors(query, weights, self.neighbors)[0]
 
-    def _steady(self) -> Array | None:
-        """Return the posture that goes on as the last two did (eq. 14)."""
-        if len(self._last) < 2:
-            return self._last[-1] if self._last else None
-        before, last = self._last
-        return 2.0 * last - before
-
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> float:
         """Return how well the database knows the posture, in [0, 1].
 
-        Fully, as far as its own postures lie apart and the sensor errs (both in root
-        mean square over the reliable joints); not at all from twice that.
+        It is 1 up to a distance (root mean square over the reliable joints) that the
+        spacing of the database and the sensor's error explain, and 0 from twice that.
         """
         total = float(reliability.sum())
-        away = 0.0
+        distance = 0.0
         if total > 1e-9:
             seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
             apart = self.database.positions[nearest] - seen
             squares = np.vecdot(apart, apart) @ reliability
-            away = float(np.sqrt(squares.min() / total))
+            distance = float(np.sqrt(squares.min() / total))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
-        now = float(np.clip(2.0 - away / near, 0.0, 1.0))
+        now = float(np.clip(2.0 - distance / near, 0.0, 1.0))
         before = now if self._coverage is None else self._coverage
         self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
         return self._coverage
 
-    def orientation(
-        self, posture: Array, nearest: Indices, reliability: Array
-    ) -> Array:
+    def orientation(self, posture: Array, nearest: Indices, weights: Array) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
-        away = self.database.positions[nearest] - posture
-        difference = np.vecdot(away, away) @ reliability
-        weights = 1.0 / (difference + 1e-4)
+        apart = self.database.positions[nearest] - posture
+        shares = 1.0 / (np.vecdot(apart, apart) @ weights + 1e-4)
         rotations = self.database.rotations[nearest]
-        signed = np.where(
-            np.vecdot(rotations, rotations[0]) < 0.0,
-            -weights[:, None],
-            weights[:, None],
-        )
+        opposite = np.vecdot(rotations, rotations[0]) < 0.0
+        signed = np.where(opposite, -shares[:, None], shares[:, None])
         return normalize((signed[..., None] * rotations).sum(axis=0))

@@ -1,4 +1,4 @@
-"""The 1 euro filter, which live motion is smoothed with."""
+"""The One-Euro filter, which smooths live motion."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from kinefilter.characters.arrays import Array
 from .hold import Hold
 from .interface import Correction, Corrector, Observation
 
-_LEAST_STEP = 1e-3  # s: a repeated time stamp is no reason to divide by zero
+_LEAST_STEP = 1e-3  # s: avoids a division by zero at repeated time stamps
 
 
 class OneEuro(Corrector):
-    """Low-pass filter whose cutoff rises with speed: calm at rest, prompt in motion.
+    """Low-pass filter whose cutoff rises with speed: steady at rest, prompt in motion.
 
-    Casiez, Roussel & Vogel 2012, 1 Euro Filter, CHI '12. A joint's three coordinates
-    share the cutoff of its speed, so that the result does not depend on the axes.
-    Missing joints hang on their last bones, those not yet seen as in rest posture.
+    Casiez, Roussel & Vogel 2012, 1 Euro Filter, CHI '12. The three coordinates of a
+    joint share one cutoff, so the result does not depend on the axes. Missing joints
+    keep their last bones; joints not measured yet are placed as in the rest pose.
 
     Args:
-        skeleton: The joints.
         min_cutoff: Cutoff at rest [Hz].
-        beta: Rise of the cutoff with speed [1/m]. In steady motion a joint trails by
+        beta: Rise of the cutoff with speed [1/m]. In steady motion a joint lags by
             less than 1 / (2 pi beta).
         derivative_cutoff: Cutoff of the speed itself [Hz].
     """
@@ -39,19 +38,17 @@ class OneEuro(Corrector):
         derivative_cutoff: float = 1.0,
     ) -> None:
         self.skeleton = skeleton
-        self.min_cutoff = min_cutoff
-        self.beta = beta
+        self.min_cutoff, self.beta = min_cutoff, beta
         self.derivative_cutoff = derivative_cutoff
         self._hold = Hold(skeleton)
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._hold.start()
         self._time: float | None = None
-        self._last = np.zeros((len(self.skeleton), 3))
-        self._velocity = np.zeros((len(self.skeleton), 3))
-        self._known = np.zeros(len(self.skeleton), dtype=bool)
+        self._last, self._velocity = np.zeros((2, len(self.skeleton), 3))
+        self._measured = np.zeros(len(self.skeleton), dtype=bool)
 
     def step(self, observation: Observation) -> Correction:
         """Filter the next frame; time stamps increase, and may start at 0."""
@@ -61,23 +58,23 @@ class OneEuro(Corrector):
             measured = self._filter(measured, step)
         result = self._hold.step(replace(observation, positions=measured))
         self._time, self._last = observation.time, result.positions
-        self._known = self._known | ~np.isnan(measured[:, 0])
+        self._measured = self._measured | ~np.isnan(measured[:, 0])
         return result
 
-    def _filter(self, measured: Array, step: float) -> Array:
+    def _filter(self, positions: Array, step: float) -> Array:
         """Return the filtered frame [m], NaN where missing, (J, 3) (algorithm 1)."""
-        away = np.where(self._known[:, None], measured - self._last, 0.0)
+        change = np.where(self._measured[:, None], positions - self._last, 0.0)
         # A missing joint is held, so it comes to rest.
-        velocity = np.nan_to_num(away) / step
-        share = _share(np.array(self.derivative_cutoff), step)
+        velocity = np.nan_to_num(change) / step
+        share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
         speed = np.sqrt(np.sum(self._velocity**2, axis=1, keepdims=True))
         cutoff = self.min_cutoff + self.beta * speed
-        smooth = self._last + _share(cutoff, step) * away
-        return np.where(self._known[:, None], smooth, measured)
+        smooth = self._last + _newest_share(cutoff, step) * change
+        return np.where(self._measured[:, None], smooth, positions)
 
 
-def _share(cutoff: Array, step: float) -> Array:
-    """Return the newest value's share, alpha, in exponential smoothing."""
+def _newest_share(cutoff: Array, step: float) -> Array:
+    """Return alpha, the share of the newest value in exponential smoothing."""
     turn = 2.0 * np.pi * cutoff * step
     return np.asarray(turn / (turn + 1.0))

@@ -1,4 +1,4 @@
-"""What the learned corrector sees of postures, and how movement is described."""
+"""The features of postures and movement that the learned corrector uses."""
 
 from __future__ import annotations
 
@@ -11,140 +11,122 @@ from kinefilter.characters.arrays import Array, Flags, Indices, Singles
 
 from .random_features import values_at
 
-_APART = 8.0 / 30.0  # s between a frame and those that say how it moves
-_MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 of positions [m]
+_APART = 8.0 / 30.0  # s between a frame and those that describe its movement
+_MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 for positions [m]
 _LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot")
-_HIDDEN = ("Elbow", "Wrist", "Knee", "Ankle", "Foot")  # by the body, from aside
-# Of arms, legs and the trunk, among the known joints: root, spine, girdle, head, then
-# left and right of every limb. What is corrected (left, or in the middle), and what of
-# the body tells how.
+_HIDDEN = ("Elbow", "Wrist", "Knee", "Ankle", "Foot")  # by the body, from the side
+# Arm, leg and trunk: the known joints that are corrected (left or in the middle), and
+# those that describe the part. Known joints are root, spine, girdle and head, then left
+# and right of each of _LIMBS.
 _PARTS = (
     ((4, 6, 8), (0, 2, 4, 6, 8)),
     ((10, 12, 14, 16), (0, 2, 10, 11, 12, 14, 16)),
     ((0, 1, 2, 3), (0, 1, 2, 3, 4, 5, 10, 11)),
 )
-# Of features of the rest of the body: the less, the more of what was learned holds in
-# movements that were not. Chosen by leaving one of six people and a movement out.
+# Weight of features of the rest of the body: the smaller, the more of the training
+# carries over to new movements. Chosen by leaving one of six people and a movement out.
 _REST = 0.15
 
-REACH = 2.0 * _APART
-"""Frames older than this [s] say nothing about how a frame moves."""
+REACH = 2.0 * _APART  # s: older frames do not influence the features of movement
 
 
 class Part(NamedTuple):
-    """An arm or a leg, by the left one, or the trunk."""
+    """The left arm, the left leg, or the trunk."""
 
     joints: Indices
-    """Which of the known joints they are, shape (K,)."""
+    """Its joints, as indices into the known joints, shape (K,)."""
     own: Flags
-    """The features that are of the part itself, shape (F,)."""
+    """True for the features of the part itself, shape (F,)."""
     weights: Singles
-    """How much each feature counts, shape (F,)."""
+    """Weights of all features, shape (F,)."""
 
 
 class PostureFeatures:
     """Describes postures by the joints that the skeletons of all sensors have.
 
-    Args:
-        skeleton: The joints; those that not all sensors have go along with the limb
-            that they are on.
+    The features are the positions of the M known joints, their movement since some
+    frames before and until some frames after, the lengths of M - 1 segments, and the
+    direction to the sensor. Other joints move with the limb that they are on.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        trunk = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
+        spine = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
+        trunk = [*spine, skeleton.index("Head")]
         limbs = [j for part in _LIMBS for j in skeleton.sides(part)]
-        self.joints = np.array([*trunk, skeleton.index("Head"), *limbs])
-        """The joints that are known, shape (M,)."""
-        self.limbs = self.joints[len(trunk) + 1 :]
-        """Those beyond the trunk."""
+        self.joints = np.array([*trunk, *limbs])
+        """Indices of the known joints, shape (M,)."""
+        self.limbs = self.joints[len(trunk) :]
+        """Indices of the known joints of arms and legs."""
         rows = {int(j): k for k, j in enumerate(self.joints)}
+        known = np.arange(len(rows))
         self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])
         side = [(part in _HIDDEN) * sign for part in _LIMBS for sign in (1, -1)]
-        self.sides = np.array([*np.zeros(len(trunk) + 1), *side])
-        """1 of left joints that the body may hide, -1 of right ones, 0 of others."""
-        # The segments between the joints that are known, over those that are not.
-        above = [skeleton.parents[j] for j in self.joints[1:]]
-        above = [j if j in rows else skeleton.parents[j] for j in above]
-        self._ends = np.arange(1, len(self.joints))
-        self._starts = np.array([rows[j] for j in above])
+        self.sides = np.array([*np.zeros(len(trunk)), *side])
+        """1 for left joints that the body can hide, -1 for right ones, 0 for others."""
+        # Segments between known joints skip the joint that only some sensors have.
+        parents = skeleton.parents
+        above = [parents[j] for j in self.joints[1:]]
+        self._starts = np.array([rows.get(j, rows.get(parents[j])) for j in above])
         body = standard_body(skeleton)
         self._standard = body.lengths[self.limbs]
-        rest = body.rest_positions[self.joints]
-        self._segments = np.linalg.norm(rest[self._ends] - rest[self._starts], axis=1)
-        follows = dict(rows)
+        bones = self._bones(body.rest_positions[self.joints])
+        self._segments = np.linalg.norm(bones, axis=1)
+        carrier = dict(rows)
         for j in skeleton.order:
-            follows.setdefault(j, follows.get(skeleton.parents[j], 0))
-        self.follows = np.array([follows[j] for j in range(len(skeleton))])
-        """Whose offset each joint takes: its own, or that of the limb it hangs on."""
+            carrier.setdefault(j, carrier.get(parents[j], 0))
+        self.carrier = np.array([carrier[j] for j in range(len(skeleton))])
+        """The known joint with which each joint moves: itself, or one of its limb."""
         self._hips = [rows[int(j)] for j in skeleton.hips]
-        size, segments = 3 * len(self.joints), len(self._ends)
-        count = 3 * size + segments + 2
+        size = 3 * len(known)
+        count = 3 * size + len(known) - 1 + 2
         order, signs = np.arange(count), np.ones(count)
-        for part in np.split(np.arange(3 * size), 3):
-            order[part] = part.reshape(-1, 3)[self._mirror].ravel()
-            signs[part[::3]] = -1.0
-        order[3 * size : -2] = 3 * size + self._mirror[self._ends] - 1
+        vectors = order[: 3 * size].reshape(3, -1, 3)
+        vectors[:] = vectors[:, self._mirror]
+        signs[: 3 * size : 3] = -1.0
+        order[3 * size : -2] = 3 * size + self._mirror[1:] - 1
         signs[-2] = -1.0
         self.mirror = (order, signs)
-        """Where a mirror puts the features, and their signs."""
-        # What features of live motion lack: the difference to what comes after.
+        """Order and signs of the features of the mirror image."""
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
-        """The features that do not need what comes after."""
-        self.live_mirror = (
-            np.asarray(np.searchsorted(self.live, order[self.live])),
-            signs[self.live],
-        )
-        """Where a mirror puts those, and their signs."""
-        self.parts = [
-            Part(np.array(joints), own, np.where(own, 1.0, _REST).astype(np.float32))
-            for joints, near in _PARTS
-            for own in [_features_of(np.array(near), size, count)]
-        ]
+        """The features of live motion: all but the movement until later frames."""
+        self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
         """Arm, leg and trunk."""
-        # Every joint's part, its place there, and the sides of the mirror it is on.
-        place = {
-            int(j): (k, n)
-            for k, part in enumerate(self.parts)
-            for n, j in enumerate(part.joints)
-        }
-        left = [
-            j if j in place else int(self._mirror[j]) for j in range(len(self.joints))
-        ]
-        self.part_of = np.array([place[j][0] for j in left])
-        """Which part each known joint is of, shape (M,)."""
-        self.mirrored_side = np.array([j != k for j, k in enumerate(left)])
-        """The known joints that are of a right limb, shape (M,)."""
-        starts = np.cumsum([0, *(len(part.joints) for part in self.parts)])
-        self._slots = np.array([starts[place[j][0]] + place[j][1] for j in left])
-        middle = self._mirror == np.arange(len(self.joints))
-        self._share = np.where(middle, 0.5, self.mirrored_side)[:, None]
+        corrected = [j for part in self.parts for j in part.joints.tolist()]
+        left = np.where(np.isin(known, corrected), known, self._mirror)
+        self._slots = np.array([corrected.index(j) for j in left])
+        sizes = [len(part.joints) for part in self.parts]
+        self.part_of = np.repeat(np.arange(len(sizes)), sizes)[self._slots]
+        """Index of the part of each known joint, shape (M,)."""
+        self.is_right = left != known
+        """True for known joints of right limbs, shape (M,)."""
+        self._share = np.where(self._mirror == known, 0.5, self.is_right)[:, None]
 
-    def joined(self, one: Array, other: Array) -> Array:
-        """Return the offsets of all known joints, (..., M, 3), from those of parts.
+    def merge_sides(self, left: Array, right: Array) -> Array:
+        """Return the offsets of all known joints, shape (..., M, 3).
 
-        Args:
-            one: Those of the parts' joints, part after part, shape (..., N, 3).
-            other: Those of their mirror images.
+        ``left`` and ``right`` are those of the joints of all parts, one part after the
+        other, and of the same joints of the mirror image, shape (..., N, 3).
         """
-        other = other * [-1.0, 1.0, 1.0]
-        return np.asarray(
-            (1.0 - self._share) * one[..., self._slots, :]
-            + self._share * other[..., self._slots, :]
-        )
+        left, right = left[..., self._slots, :], right[..., self._slots, :]
+        right = right * [-1.0, 1.0, 1.0]
+        return np.asarray((1.0 - self._share) * left + self._share * right)
 
     def points(self, postures: Array) -> Array:
-        """Return the known joints relative to the hips' middle [m], (..., M, 3)."""
+        """Return known joints relative to the middle of the hips [m], (..., M, 3)."""
         points = postures[..., self.joints, :]
         return np.asarray(points - points[..., self._hips, :].mean(-2, keepdims=True))
 
     def mirrored(self, points: Array) -> Array:
-        """Return what a mirror shows of known joints, or of their offsets."""
+        """Return the mirror image of known joints, or of their offsets, (T, M, 3)."""
         return np.asarray(points[:, self._mirror] * [-1.0, 1.0, 1.0])
 
     def proportions(self, lengths: Array) -> Array:
-        """Return the logarithms of a person's limbs over standard, less their mean."""
+        """Return log(limb length / standard length), less the mean of all limbs."""
         odd = np.log(lengths[self.limbs] / self._standard)
         return np.asarray(odd - odd.mean())
+
+    def _bones(self, points: Array) -> Array:
+        return points[..., 1:, :] - points[..., self._starts, :]
 
     def __call__(
         self,
@@ -156,30 +138,29 @@ class PostureFeatures:
         *,
         live: bool = False,
     ) -> Singles:
-        """Return the features of frames, shape (T, F).
+        """Return the features of some frames of a motion, shape (T, F).
 
-        Args:
-            points: Known joints of the frames [m], shape (T, M, 3).
-            around: Those of all frames there are [m], shape (N, M, 3).
-            time: Time stamps of the frames [s], shape (T,).
-            times: Those of all frames [s], shape (N,).
-            toward: Direction to the sensor, shape (T, 2).
-            live: Leave out what comes after.
+        ``points`` (T, M, 3) are their known joints [m], ``around`` (N, M, 3) those of
+        all frames; ``time`` (T,) and ``times`` (N,) are the time stamps [s] of both,
+        and ``toward`` (T, 2) is the direction to the sensor. If ``live``, the features
+        that need later frames are left out.
         """
         parts = [points, _MOVEMENT * (points - values_at(times, around, time - _APART))]
         if not live:
             parts.append(_MOVEMENT * (values_at(times, around, time + _APART) - points))
-        bones = points[:, self._ends] - points[:, self._starts]
+        bones = self._bones(points)
         parts.append(_LENGTHS * (np.sqrt(np.vecdot(bones, bones)) - self._segments))
         rows = [part.reshape(len(points), -1) for part in (*parts, _TOWARD * toward)]
         return np.concatenate(rows, axis=1, dtype=np.float32)
 
 
-def _features_of(joints: Indices, size: int, count: int) -> Flags:
-    """Return which of the features are of some joints, or of where the sensor is."""
-    own = np.zeros(count, dtype=bool)
-    own[:size].reshape(-1, 3)[joints] = True
+def _part(
+    joints: tuple[int, ...], near: tuple[int, ...], size: int, count: int
+) -> Part:
+    """Return a part with some joints, whose own features are those of ``near``."""
+    own, rows = np.zeros(count, dtype=bool), np.array(near)
+    own[:size].reshape(-1, 3)[rows] = True
     own[size : 3 * size] = np.tile(own[:size], 2)
-    own[3 * size + joints[joints > 0] - 1] = True
-    own[-2:] = True
-    return own
+    own[3 * size + rows[rows > 0] - 1] = True
+    own[-2:] = True  # the direction to the sensor
+    return Part(np.array(joints), own, np.where(own, 1.0, _REST).astype(np.float32))

@@ -1,9 +1,9 @@
-"""Local principal components of natural postures, and what is found in them.
+"""Natural posture spaces: local principal components of a database of postures.
 
-Shum 2013, sections V.B and VI: the natural posture space of the neighboring postures,
-the control, style, kinematics and continuity energies of a posture in it, and two
-searches for the least energy: a solver and the paper's sampling. ``NaturalSpaces``
-tells what of a posture lies outside the natural posture spaces around it.
+Shum 2013, sections V.B and VI: the space of the neighboring postures, the control,
+style, kinematics and continuity energies of a posture in it, and two searches for the
+minimum: a solver and the paper's sampling. ``NaturalSpaces`` finds the part of a
+posture that lies outside the natural posture spaces around it.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 
 _STEPS = 8
-_CONVERGED = 1e-3  # latent step [m], over all joints together: no one sees less
-# Chosen on six people with marker mocap beside the Kinect, with the mocap of the others
-# and unrelated CMU motion as databases.
-_SENSOR_NOISE = 0.013  # m, of a joint along each axis, that no other joint shares
-_HARDER_TO_SEE = 1.4  # noise of the middle of a limb, which has no outline of its own
-_SPACES, _POSTURES = 200, 500  # local spaces, and postures that span each
-_MOST = 20_000  # postures of a larger database that say how far postures vary
-_BLUR = 0.06  # m a joint, over which one space gives way to the next
-_FAR = 2.2  # of the database's spacing: from there it knows less and less
-_IGNORANCE = 0.05  # share of the squared distance beyond that adds to its variances
-_SPACING_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, sizes standardized
+_CONVERGED = 1e-3  # latent step [m] of all joints together, too small to see
+# Chosen on six people with marker mocap beside the Kinect, with the mocap of the other
+# people and unrelated CMU motion as databases.
+_SENSOR_NOISE = 0.013  # m, of a joint along each axis, independent of other joints
+_HARDER_TO_SEE = 1.4  # noise of elbows and knees, which have no outline of their own
+_SPACES, _POSTURES = 200, 500  # number of local spaces, and of postures in each
+_MOST = 20_000  # postures used of a larger database
+_BLUR = 0.06  # m per joint, over which one space gives way to the next
+_FAR = 2.2  # spacings of the database to the nearest posture, from which shifts fade
+_IGNORANCE = 0.05  # share of the squared distance beyond that is added to variances
+_SPACING_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, on the standard body
 
 
 @dataclass(frozen=True)
@@ -37,41 +37,39 @@ class EnergyWeights:
     """Weights of the energy terms (Shum 2013, section VI.E)."""
 
     control: float = 1.0
-    """Pull to the measured joints, by their reliability."""
+    """Pull to the measured joints, weighted by their reliability."""
     style: float = 0.5
     """Pull to the nearest of the neighboring postures."""
     kinematics: float = 1.5
     """Pull to the standard body's segment lengths."""
     continuity: float = 0.25
-    """Pull to steady movement since the last two frames."""
+    """Pull to constant velocity over the last two frames."""
 
 
-WEIGHTS = EnergyWeights()
-"""Those of the paper."""
+PAPER_WEIGHTS = EnergyWeights()
 
 
 class PostureSpace:
-    """Principal components of some postures: p = mean + basis q."""
+    """Principal components of some postures (K, 3 J): p = mean + basis q."""
 
     def __init__(self, postures: Array, dimensions: int) -> None:
-        """Fit the space to postures (K, 3 J), keeping at most ``dimensions``."""
+        """Fit the space, keeping at most ``dimensions``."""
         count = len(postures)
         self.mean = postures.sum(axis=0) / count
         centered = postures - self.mean
-        # The Gram matrix is as small as the neighbors are few.
+        # The Gram matrix has only as many rows as there are postures.
         gram = centered @ centered.T
         values, vectors = np.linalg.eigh(gram)
         least = 1e-12 * max(float(values[-1]), 1e-12)
         solid = int(np.count_nonzero(values > least))
         kept = slice(None, -min(dimensions, count - 1, solid) - 1, -1)
-        values, vectors = values[kept], vectors[:, kept]
-        roots = np.sqrt(values)
+        roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
         self.basis = (centered.T @ vectors) / roots
         """Orthonormal columns, largest variance first, shape (3 J, d)."""
         self.latent = vectors * roots
-        """The postures in the space, shape (K, d)."""
+        """Latent points of the postures, shape (K, d)."""
         self.squares = gram.diagonal()
-        """Their squared distances from the mean [m^2], shape (K,)."""
+        """Squared distances of the postures from the mean [m^2], shape (K,)."""
         self.deviations = roots / np.sqrt(count)
         """Standard deviation of the postures along each axis [m], shape (d,)."""
 
@@ -87,16 +85,10 @@ class PostureSpace:
 class PostureEnergy:
     """E = wc Ec + ws Es + wk Ek + wm Em in a space (Shum 2013, eq. 10-15) [m^2].
 
-    The basis is orthonormal, so distances between postures of the space are those of
-    their latent points, and nothing but the bones has to leave the space.
-
-    Args:
-        space: The posture space of the neighboring postures.
-        body: Whose segment lengths postures are to have.
-        measured: Joint positions [m], shape (J, 3); NaN only at reliability 0.
-        reliability: Reliability of each joint, shape (J,).
-        steady: Posture [m] that continues the last two, shape (3 J,), or None.
-        weights: Weights of the terms.
+    The basis is orthonormal, so distances between postures in the space equal those of
+    their latent points; only segment lengths, to be those of ``body``, need joint
+    positions. ``measured`` [m] (J, 3) may be NaN where the reliability (J,) is 0;
+    ``steady`` [m] (3 J,) is the posture that continues the last two, if any.
     """
 
     def __init__(
@@ -106,24 +98,24 @@ class PostureEnergy:
         measured: Array,
         reliability: Array,
         steady: Array | None,
-        weights: EnergyWeights = WEIGHTS,
+        weights: EnergyWeights = PAPER_WEIGHTS,
     ) -> None:
         self.space, w, joints = space, weights, len(reliability)
         basis, axes = space.basis, space.basis.shape[1]
         trust = np.repeat(reliability, 3)
-        away = np.where(trust > 0.0, measured.ravel(), 0.0) - space.mean
+        offset = np.where(trust > 0.0, measured.ravel(), 0.0) - space.mean
         pulled = (w.control * trust)[:, None] * basis  # eq. 10
         self._hessian = pulled.T @ basis
-        self._fixed = away @ pulled
-        self.constant = float(w.control * trust @ away**2)
-        """What the energies leave out, since it is the same in all of the space."""
-        eased = w.style / joints
+        self._fixed = offset @ pulled
+        self.constant = float(w.control * trust @ offset**2)
+        """Part of the energy that is constant in the space; calls leave it out."""
+        diagonal = w.style / joints
         if steady is not None:
-            eased += w.continuity / joints
+            diagonal += w.continuity / joints
             self._fixed += w.continuity / joints * space.project(steady)
             change = steady - space.mean
             self.constant += w.continuity / joints * float(change @ change)
-        self._hessian.flat[:: axes + 1] += eased
+        self._hessian.flat[:: axes + 1] += diagonal
         self._to_neighbors = w.style / joints * space.latent  # eq. 11
         self._from_neighbors = w.style / joints * space.squares
         ends, starts = body.skeleton.segments, body.skeleton.segment_parents
@@ -137,9 +129,8 @@ class PostureEnergy:
 
     def __call__(self, points: Array) -> tuple[Array, Array, Array]:
         """Return energies (N,) of points (N, d), bones (N, S, 3) and lengths (N, S)."""
-        bones = self._bones + (points @ self._flat_basis).reshape(
-            -1, *self._bones.shape
-        )
+        moved = (points @ self._flat_basis).reshape(-1, *self._bones.shape)
+        bones = self._bones + moved
         lengths = np.sqrt(np.vecdot(bones, bones))
         errors = lengths - self._lengths
         energies = np.vecdot(points @ self._hessian - 2.0 * self._fixed, points)
@@ -149,43 +140,42 @@ class PostureEnergy:
         return energies, bones, lengths
 
     def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
-        """Return where each neighbor's energy, linearized at a point, is least, (K, d).
+        """Return the minimum of the energy for each neighbor, shape (K, d).
 
-        The point has shape (d,), the bones there (S, 3) and their lengths (S,).
+        The segment lengths are linearized at the point ``latent`` (d,), where the bones
+        are ``bones`` (S, 3) and their lengths ``lengths`` (S,).
         """
         directions = bones / np.maximum(lengths, 1e-9)[:, None]
         slope = np.einsum("sk,skd->sd", directions, self._bone_basis)
         curvature = self._hessian + self._stiff * (slope.T @ slope)
         wanted = slope @ latent - (lengths - self._lengths)
         pull = self._fixed + self._stiff * (wanted @ slope)
-        # LAPACK itself: the wrappers' checks take longer than so small a solution.
+        # LAPACK directly: scipy's checks take longer than so small a solve.
         return np.asarray(dposv(curvature, (pull + self._to_neighbors).T)[1].T)
 
 
 def solve(energy: PostureEnergy, start: Array) -> Array:
     """Return the latent point of least energy, by Gauss-Newton.
 
-    All terms but the segment lengths are quadratic, and the style term of each neighbor
-    adds the same Hessian, so one factorization gives every neighbor's minimum at once;
-    the best of them under the true energy is the next iterate. A step that does not
-    lower the energy is halved.
+    All terms except the segment lengths are quadratic, and the style terms of all
+    neighbors have the same Hessian, so one factorization gives the minimum for every
+    neighbor; the best of these under the true energy is the next iterate. A step that
+    does not lower the energy is halved.
     """
-    latent = start
-    energies, bones, lengths = energy(latent[None])
-    best, bones, lengths = float(energies[0]), bones[0], lengths[0]
+    energies, bones, lengths = energy(start[None])
+    latent, best, k = start, float(energies[0]), 0
     for _ in range(_STEPS):
-        points = energy.minima(latent, bones, lengths)
-        energies, tried_bones, tried_lengths = energy(points)
+        points = energy.minima(latent, bones[k], lengths[k])
+        energies, bones, lengths = energy(points)
         k = int(energies.argmin())
         step, lowered = points[k] - latent, float(energies[k])
         while lowered > best and np.abs(step).max() > _CONVERGED:
             step, k = step / 2.0, 0
-            energies, tried_bones, tried_lengths = energy((latent + step)[None])
+            energies, bones, lengths = energy((latent + step)[None])
             lowered = float(energies[0])
         if lowered > best:
             break
         latent, best = latent + step, lowered
-        bones, lengths = tried_bones[k], tried_lengths[k]
         if np.abs(step).max() <= _CONVERGED:
             break
     return latent
@@ -202,11 +192,10 @@ def stochastic_search(
     """Return a latent point of low energy, by the paper's local stochastic search.
 
     Shum 2013, section VI.E: each step draws samples around the best point so far and
-    moves to the best of them, until a limit of steps. The paper leaves the spread open:
-    half a standard deviation of the neighbors, shrinking by a fifth a step.
+    moves to the best of them. The paper does not specify the spread: here it starts at
+    half a standard deviation of the neighbors and shrinks by a fifth in each step.
     """
-    latent = start
-    best = float(energy(latent[None])[0][0])
+    latent, best = start, float(energy(start[None])[0][0])
     spread = 0.5 * energy.space.deviations
     for _ in range(steps):
         points = latent + spread * generator.standard_normal((samples, len(latent)))
@@ -219,80 +208,67 @@ def stochastic_search(
 
 
 class NaturalSpaces:
-    """Local Gaussians of natural postures, seen from the middle of the hips.
+    """Local Gaussians of natural postures, relative to the middle of the hips.
 
-    Kinect's error puts joints where no posture has them: a knee too low for the hip, a
-    shoulder too far ahead. What a measurement does along directions in which natural
-    postures hardly vary is error (probabilistic PCA, Tipping & Bishop 1999, section 2).
-
-    Args:
-        database: Natural postures.
+    Kinect's errors put joints where no posture has them: a knee too low for the hip, a
+    shoulder too far ahead. Whatever a measurement does along directions in which
+    natural postures hardly vary is error (probabilistic PCA, Tipping & Bishop 1999,
+    section 2).
     """
 
     def __init__(self, database: PostureDatabase) -> None:
         skeleton = database.skeleton
-        # Hands follow the wrists: what they do by themselves has no shape to keep.
-        self._joints = np.flatnonzero(~skeleton.hands).tolist()
+        # Hands move with the wrists: on their own they have no posture to keep.
+        self._joints = np.flatnonzero(~skeleton.hands)
         self._hips = skeleton.hips
         self._carrier = np.arange(len(skeleton))
         for j in skeleton.order:
-            if j not in self._joints:
+            if skeleton.hands[j]:
                 self._carrier[j] = self._carrier[skeleton.parents[j]]
-        middle = [
-            _HARDER_TO_SEE if skeleton.joints[j].startswith(("Elbow", "Knee")) else 1.0
-            for j in self._joints
-        ]
-        self._noise = np.repeat(_SENSOR_NOISE * np.array(middle), 3)
+        hard = [skeleton.joints[j].startswith(("Elbow", "Knee")) for j in self._joints]
+        self._noise = np.repeat(_SENSOR_NOISE * np.where(hard, _HARDER_TO_SEE, 1.0), 3)
         some = database.positions[:: -(-len(database) // _MOST)].astype(float)
         self._postures = self._rows(some)
         self._squares = np.sum(self._postures**2, axis=1)
         self._near = _FAR * np.hypot(database.spacing, _SPACING_ERROR)
-        self._fit(some)
+        self._centers = self._postures[filter_to_count(some, _SPACES)]
+        spaces = zip(*map(self._space_around, self._centers), strict=True)
+        self._means, self._axes, self._variances = map(np.array, spaces)
 
     def _rows(self, postures: Array) -> Array:
-        """Return what is compared, in meters, shape (..., F)."""
+        """Return postures (..., J, 3) as rows without hands [m], shape (..., F)."""
         middle = postures[..., self._hips, :].mean(axis=-2, keepdims=True)
         rows = (postures - middle)[..., self._joints, :]
         return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
-    def _fit(self, postures: Array) -> None:
-        chosen = filter_to_count(postures, _SPACES)
-        self._centers = self._postures[chosen]
+    def _space_around(self, center: Array) -> tuple[Array, Array, Array]:
+        """Return mean, axes and variances of the postures nearest to a center."""
         count = min(_POSTURES, len(self._postures))
-        means, axes, variances = [], [], []
-        for center in self._centers:
-            squares = np.sum((self._postures - center) ** 2, axis=1)
-            nearest = np.argpartition(squares, count - 1)[:count]
-            # In units of the noise, so that it is the same along all axes.
-            part = self._postures[nearest] / self._noise
-            mean = part.mean(axis=0)
-            values, vectors = np.linalg.eigh((part - mean).T @ (part - mean) / count)
-            means.append(mean)
-            axes.append(vectors)
-            variances.append(np.maximum(values, 0.0))
-        self._means, self._axes = np.array(means), np.array(axes)
-        self._variances = np.array(variances)
+        squares = np.sum((self._postures - center) ** 2, axis=1)
+        nearest = np.argpartition(squares, count - 1)[:count]
+        # In units of the noise, which is then the same along all axes.
+        part = self._postures[nearest] / self._noise
+        mean = part.mean(axis=0)
+        values, axes = np.linalg.eigh((part - mean).T @ (part - mean) / count)
+        return mean, axes, np.maximum(values, 0.0)
 
     def shift(self, posture: Array) -> Array:
-        """Return what brings a posture to where natural ones are [m], (J, 3).
+        """Return the shift [m] that makes a finite posture natural, shape (J, 3).
 
-        The mean of the posterior of the posture that was measured with noise. Where
-        the nearest posture of the database is far, its variances grow by a share of
-        the distance, and the shift goes to nothing.
-
-        Args:
-            posture: Joint positions [m], finite, shape (J, 3).
+        It leads to the posterior mean of the posture, given that it was measured with
+        noise. Where the nearest posture of the database is far away, the variances grow
+        by a share of the distance, and the shift fades to zero.
         """
         row = self._rows(posture)
-        apart = self._squares - 2.0 * self._postures @ row + row @ row
-        per_joint = max(float(apart.min()), 0.0) / len(self._joints)
+        squares = self._squares - 2.0 * self._postures @ row + row @ row
+        per_joint = max(float(squares.min()), 0.0) / len(self._joints)
         unknown = _IGNORANCE * max(per_joint - self._near**2, 0.0) / _SENSOR_NOISE**2
         squares = np.sum((self._centers - row) ** 2, axis=1) / len(self._joints)
         likeness = np.exp(-0.5 * (squares - squares.min()) / _BLUR**2)
         used = np.flatnonzero(likeness > 1e-3 * likeness.sum())
         weights = likeness[used] / likeness[used].sum()
-        away = row / self._noise - self._means[used]
-        along = np.einsum("kf,kfe->ke", away, self._axes[used])
+        offset = row / self._noise - self._means[used]
+        along = np.einsum("kf,kfe->ke", offset, self._axes[used])
         along /= self._variances[used] + unknown + 1.0
         moved = -np.einsum("k,ke,kfe->f", weights, along, self._axes[used])
         shifts = np.zeros_like(posture)

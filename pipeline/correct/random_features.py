@@ -1,4 +1,4 @@
-"""Random features of a kernel, and how like postures are to those of before."""
+"""Random features of a kernel, and helpers for features of movement."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from scipy.special import ndtri
 
 from kinefilter.characters.arrays import Array, Singles
 
-_LINEAR = 0.8  # variance of the linear part, against 1 of the Gaussian one
+_LINEAR = 0.8  # variance of the linear part, against 1 for the Gaussian part
 
 
 class RandomFeatures:
-    """Random features whose products are the kernel of postures' features.
+    """Random features whose inner products approximate the kernel of the inputs.
 
     Args:
-        mean: Mean of what they are made of, shape (F,).
-        count: How many there are beside the linear ones, a multiple of two.
-        seed: Draws their frequencies.
-        weights: How much each of what they are made of counts, shape (F,).
+        mean: Mean of the inputs, shape (F,).
+        count: Number of features besides the linear ones, even.
+        seed: Seed of the frequencies.
+        weights: Weight of each input, shape (F,).
     """
 
     def __init__(self, mean: Singles, count: int, seed: int, weights: Singles) -> None:
@@ -28,28 +28,27 @@ class RandomFeatures:
         self._mean, self.size = mean, count + len(mean)
         self._linear = weights * np.float32(np.sqrt(_LINEAR))
 
-    def __call__(self, features: Singles) -> Singles:
+    def __call__(self, inputs: Singles) -> Singles:
         """Return the random and the linear features of frames, (T, size)."""
         half = self._frequencies.shape[1]
-        made = np.empty((len(features), self.size), dtype=np.float32)
-        angles = features @ self._frequencies
-        np.cos(angles, out=made[:, :half])
-        np.sin(angles, out=made[:, half : 2 * half])
-        made[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
-        made[:, 2 * half :] = (features - self._mean) * self._linear
-        return made
+        features = np.empty((len(inputs), self.size), dtype=np.float32)
+        angles = inputs @ self._frequencies
+        np.cos(angles, out=features[:, :half])
+        np.sin(angles, out=features[:, half : 2 * half])
+        features[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
+        features[:, 2 * half :] = (inputs - self._mean) * self._linear
+        return features
 
 
-@lru_cache(maxsize=8)  # every clean begins with the same ones
+@lru_cache(maxsize=8)  # every run of clean begins with the same ones
 def _frequencies(size: int, count: int, seed: int) -> Singles:
     """Return orthogonal random frequencies, shape (size, count), read-only."""
     blocks = -(-count // size)
-    # Raw bits and the normal quantile: the same in every version of numpy.
+    # Raw bits and the normal quantile give the same numbers in every version of numpy.
     bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
-    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53)
-    square = normal.reshape(blocks, size, size)
-    turns = np.linalg.qr(square)[0]
-    lengths = np.linalg.norm(square, axis=2, keepdims=True)
+    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53).reshape(blocks, size, size)
+    turns = np.linalg.qr(normal)[0]
+    lengths = np.linalg.norm(normal, axis=2, keepdims=True)
     rows = (turns * lengths).reshape(-1, size)[:count]
     frequencies: Singles = rows.T.astype(np.float32)
     frequencies.flags.writeable = False
@@ -57,7 +56,7 @@ def _frequencies(size: int, count: int, seed: int) -> Singles:
 
 
 def values_at(times: Array, values: Array, wanted: Array) -> Array:
-    """Return values (N, ...) at other times, between frames; the ends beyond them."""
+    """Interpolate values (N, ...) at other times; outside, the ends are held."""
     if len(times) < 2:
         return np.broadcast_to(values, (len(wanted), *values.shape[1:]))
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
@@ -68,10 +67,9 @@ def values_at(times: Array, values: Array, wanted: Array) -> Array:
 
 
 def direction_to(sensor: Array | None, count: int) -> Array:
-    """Return unit vectors (T, 2), to the left and ahead, from people to the sensor.
+    """Return horizontal unit vectors (T, 2), left and ahead, from people to the sensor.
 
-    A sensor whose place nobody knows, or that is said to be inside of the person, is
-    ahead.
+    Without a sensor, or with one closer than 0.5 m, the direction is straight ahead.
     """
     if sensor is None:
         return np.tile([0.0, 1.0], (count, 1))
@@ -80,10 +78,10 @@ def direction_to(sensor: Array | None, count: int) -> Array:
     return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
 
 
-def likeness_to(features: Singles, centers: Singles, squares: Singles) -> Array:
-    """Return how like the nearest center frames are, in [0, 1], shape (T,).
+def similarity_to(features: Singles, centers: Singles, squares: Singles) -> Array:
+    """Return the similarity of frames to the nearest center, in [0, 1], shape (T,).
 
-    ``squares`` are those of the centers' lengths.
+    ``squares`` are the squared lengths of the centers.
     """
     if not len(centers):
         return np.zeros(len(features))

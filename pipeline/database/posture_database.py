@@ -1,4 +1,4 @@
-"""The motion database: natural postures to compare a measured one with."""
+"""The motion database: natural postures with which measured ones are compared."""
 
 from __future__ import annotations
 
@@ -23,53 +23,51 @@ from kinefilter.pipeline.formats.files import as_path
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 
 _ARRAYS = ("positions", "rotations", "labels")
-_LARGEST = 10.0  # of coordinates [m] and of quaternions: beyond, one is damaged
-_BLOCK = 128  # postures: fewer fit tighter boxes, more cost fewer calls. Timed.
-_AT_ONCE = 30_000  # postures: below, looking at all is faster than choosing. Timed.
-_FIRST, _MOST = 8, 128  # blocks looked at before their distances are compared
-_ROUNDING = 2e-5  # of two sums of a hundred products in single precision, at the most
-_FOR_SPREAD = 2000  # postures that tell along which coordinate the others spread
-_FOR_SPACING = 5000  # postures whose nearest other is looked for, evenly picked
+_LARGEST = 10.0  # coordinate [m] or component of a quaternion that is not damaged
+_BLOCK = 128  # postures: smaller blocks have tighter boxes but need more calls. Timed.
+_AT_ONCE = 30_000  # postures up to which a search of all is faster. Timed.
+_FIRST, _MOST = 8, 128  # blocks per round, in the first round and at most
+_ROUNDING = 2e-5  # upper bound for two sums of a hundred products in single precision
+_FOR_SPREAD = 2000  # postures from which the coordinate to split along is chosen
+_FOR_SPACING = 5000  # evenly picked postures from which the spacing is measured
 
 
 @dataclass(frozen=True, eq=False)
 class PostureDatabase:
-    """Normalized postures on the standard body, spread evenly by the threshold rule."""
+    """Normalized postures on the standard body, thinned out by the threshold rule."""
 
     positions: Singles
     """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
     rotations: Singles
-    """Segment rotations in the same view, wxyz, shape (N, J, 4)."""
+    """Segment rotations in the same frame, wxyz, shape (N, J, 4)."""
     labels: NDArray[np.str_]
-    """The motion each posture comes from, shape (N,)."""
+    """Name of the motion of each posture, shape (N,)."""
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
     source: str = "database"
     """Where the database came from, for messages."""
     recorded: bool = False
-    """The postures are of recorded people, so their variation is that of people."""
+    """True if the postures, and thus their variation, are those of recorded people."""
 
     def __post_init__(self) -> None:
         check_skeleton(self.skeleton, self.source)
         check_kind(self.labels, np.ndarray, f"{self.source}: its labels")
-        shape = (self.labels.size, len(self.skeleton))
-        shapes: dict[str, Lengths] = {
-            "positions": (*shape, 3),
-            "rotations": (*shape, 4),
-        }
+        size = (self.labels.size, len(self.skeleton))
+        shapes: dict[str, Lengths] = {"positions": (*size, 3), "rotations": (*size, 4)}
         check_arrays(self, self.source, shapes, keep=shapes)
-        if shape[0] < 2:
-            raise InputError(f"{self.source}: has no two postures; build one of more")
-        if not np.any(self.positions[1:] != self.positions[0]):
-            raise InputError(f"{self.source}: its postures are all one; build it again")
-        # As a file holds them: a database is the same before and after.
+        if size[0] < 2 or not np.any(self.positions[1:] != self.positions[0]):
+            raise InputError(
+                f"{self.source}: a database needs two different postures or more; "
+                "build it from more motions"
+            )
+        # Single precision, as in a file: saving and loading changes nothing.
         for name in shapes:
             with np.errstate(over="ignore"):
                 rounded = np.asarray(getattr(self, name), dtype=np.float32)
-            # NaN is neither.
+            # This comparison also rejects NaN.
             if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
                 raise InputError(
-                    f"{self.source}: {name} are beyond {_LARGEST:g}; build it again"
+                    f"{self.source}: {name} are NaN or beyond {_LARGEST:g}; rebuild it"
                 )
             object.__setattr__(self, name, rounded)
 
@@ -88,21 +86,17 @@ class PostureDatabase:
     def neighbors(
         self, posture: Array, weights: Array, count: int
     ) -> tuple[Indices, Array]:
-        """Return the indices of the nearest postures, nearest first, and their D.
+        """Return indices and distances D of the nearest postures, nearest first.
 
         D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9). The posture,
         normalized joint positions [m] (J, 3), is finite where the weight is not 0;
-        weights (J,) are the joints' reliability.
+        the weights (J,) are the reliability of the joints.
         """
         return self._index.nearest(posture, weights, min(count, len(self)))
 
     @cached_property
     def spacing(self) -> float:
-        """Distance [m] between neighboring postures.
-
-        The median over the database of the root mean square distance of the joints to
-        those of the nearest other posture.
-        """
+        """Median distance [m] to the nearest other posture, RMS over the joints."""
         weights = np.full(self.positions.shape[1], 1.0 / self.positions.shape[1])
         some = np.arange(0, len(self), -(-len(self) // _FOR_SPACING))
         nearest = [self.neighbors(self.positions[k], weights, 2)[1][1] for k in some]
@@ -110,7 +104,7 @@ class PostureDatabase:
 
     @property
     def summary(self) -> str:
-        """What the database holds, in a line."""
+        """A description of the database in one line."""
         return (
             f"{len(self)} postures of {len(set(self.labels.tolist()))} motions, "
             f"{self.skeleton.name}, {self.spacing * 100:.1f} cm apart"
@@ -120,11 +114,11 @@ class PostureDatabase:
         """Write the database as npz: arrays only."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         named = {"skeleton": self.skeleton.name, "recorded": self.recorded}
-        write_arrays(path, arrays | {k: np.array(value) for k, value in named.items()})
+        write_arrays(path, arrays | named)
 
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
-        """Read a database that ``save`` wrote; an InputError if the file is none."""
+        """Read a database that ``save`` wrote; raises InputError for other files."""
         if not as_path(path).is_file():
             raise InputError(
                 f"{path}: no such database; make one with 'kinefilter database build'"
@@ -133,8 +127,7 @@ class PostureDatabase:
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
-            labels = arrays["labels"]
-            places, turns = arrays["positions"], arrays["rotations"]
+            places, turns, labels = (arrays[name] for name in _ARRAYS)
             shape = (len(labels), len(skeleton))
             sound = (
                 (places.shape, turns.shape) == ((*shape, 3), (*shape, 4))
@@ -144,7 +137,7 @@ class PostureDatabase:
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        except (KeyError, ValueError, TypeError):  # other arrays than ours
+        except (KeyError, ValueError, TypeError):  # the arrays of another kind of file
             sound = False
         if not sound:
             raise InputError(
@@ -155,58 +148,59 @@ class PostureDatabase:
 
 
 class PostureIndex:
-    """Finds D(p, x) = sum of w_j |p_j - x_j|^2 (Shum 2013, eq. 9) at its smallest.
+    """Finds the postures with the smallest D(p, x) = sum of w_j |p_j - x_j|^2.
 
-    The weights differ from query to query, so no metric tree fits. Postures, normalized
-    joint positions [m] (N, J, 3), lie in blocks, split where they spread most as in a
-    k-d tree; a block's bounding box tells how near its postures can be at best, joint
-    by joint, whatever the weights. Blocks are looked at from the nearest box on, until
-    the next can hold nothing nearer.
+    Shum 2013, eq. 9. The weights differ from query to query, so no metric tree fits.
+    Postures, normalized joint positions [m] (N, J, 3), are split into blocks along the
+    coordinate with the largest variance, as in a k-d tree. The bounding box of a block
+    gives a lower bound of D for any weights. Blocks are searched in the order of these
+    bounds, until the next one cannot contain a nearer posture.
     """
 
     def __init__(self, positions: Singles) -> None:
         self._positions = positions
         flat = positions.reshape(len(positions), -1)
         self._block = _BLOCK if len(flat) > _AT_ONCE else len(flat)
-        self._order = _ordered(flat, self._block)
+        self._order = _ordered(flat, np.arange(len(flat)), self._block)
         flat = flat[self._order]
         starts = np.arange(0, len(flat), self._block)
         low = np.minimum.reduceat(flat, starts)
         high = np.maximum.reduceat(flat, starts)
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
         self._reach = np.abs(flat).max(axis=0).astype(np.float64)
-        # In single precision: every query reads all of it, and memory is the limit.
+        # Single precision: every query reads all of it, so memory bandwidth counts.
         squares = np.sum(flat.reshape(positions.shape) ** 2, axis=2)
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)
 
     def nearest(
-        self, posture: Array, weights: Array, count: int
+        self, query: Array, weights: Array, count: int
     ) -> tuple[Indices, Array]:
-        """Return what ``PostureDatabase.neighbors`` does, for a count that there is."""
+        """Return the same as ``PostureDatabase.neighbors``, for up to N postures."""
         if not weights.any():
             return np.arange(count), np.zeros(count)
-        seen = np.where(weights[:, None] > 0.0, posture, 0.0)
-        # The largest error of a D by rounding.
+        seen = np.where(weights[:, None] > 0.0, query, 0.0)
         farthest = (np.abs(seen) + self._reach.reshape(seen.shape)) ** 2
-        slack = _ROUNDING * float(weights @ farthest.sum(axis=1))
-        rows = self._candidates(seen, weights, count, slack)
+        slack = _ROUNDING * float(weights @ farthest.sum(axis=1))  # rounding error of D
+        rows = self._nearby(seen, weights, count, slack)
         near = np.sort(self._order[rows])
-        away = np.where(weights[:, None] > 0.0, self._positions[near] - posture, 0.0)
+        away = np.where(weights[:, None] > 0.0, self._positions[near] - query, 0.0)
         exact = np.vecdot(away, away) @ weights
         order = np.argsort(exact, kind="stable")[:count]
         return near[order], exact[order]
 
-    def _candidates(
-        self, seen: Array, weights: Array, count: int, slack: float
-    ) -> Indices:
-        """Return rows among which the nearest are, whatever was rounded."""
+    def _nearby(self, seen: Array, weights: Array, count: int, slack: float) -> Indices:
+        """Return rows that include the nearest ones in spite of rounding errors."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
         if len(self._middle) == 1:
             away = self._products @ query
-            return np.flatnonzero(away <= _smallest(away, count) + slack)
+            best = float(np.partition(away, count - 1)[count - 1])
+            return np.flatnonzero(away <= best + slack)
         constant = float(np.vdot(weighted, seen))
-        bounds = self._bounds(seen, weights)
+        # Lower bounds of D, from the distance of the posture to each box.
+        outside = np.abs(self._middle - seen.ravel().astype(np.float32)) - self._half
+        squares = np.maximum(outside, 0.0) ** 2
+        bounds = squares @ np.repeat(weights, 3).astype(np.float32)
         blocks = np.argsort(bounds)
         bounds = bounds[blocks]
         rows, away = np.empty(0, dtype=np.intp), np.empty(0, dtype=np.float32)
@@ -215,11 +209,11 @@ class PostureIndex:
             some = blocks[done : min(done + step, end)]
             done, step = done + len(some), min(2 * step, _MOST)
             rows = np.concatenate([rows, self._rows(some)])
-            # D without a constant that all postures share.
+            # D without the constant that all postures share.
             spans = (slice(b * self._block, (b + 1) * self._block) for b in some)
             away = np.concatenate([away, *(self._products[s] @ query for s in spans)])
             if len(away) >= count:
-                best = _smallest(away, count)
+                best = float(np.partition(away, count - 1)[count - 1])
                 limit = best + constant + slack
                 kept = away <= best + slack
                 rows, away = rows[kept], away[kept]
@@ -229,41 +223,21 @@ class PostureIndex:
         rows = (blocks[:, None] * self._block + np.arange(self._block)).ravel()
         return rows[rows < len(self._order)]
 
-    def _bounds(self, seen: Array, weights: Array) -> Singles:
-        """Return what D is at least in each block, shape (B,)."""
-        outside = np.abs(self._middle - seen.ravel().astype(np.float32))
-        outside -= self._half
-        np.maximum(outside, 0.0, out=outside)
-        outside *= outside
-        bounds: Singles = outside @ np.repeat(weights, 3).astype(np.float32)
-        return bounds
 
-
-def _smallest(away: Singles, count: int) -> float:
-    """Return the ``count``-th smallest."""
-    return float(np.partition(away, count - 1)[count - 1])
-
-
-def _ordered(flat: Singles, block: int) -> Indices:
-    """Return the order of postures in which each block's lie near each other."""
-    order = np.arange(len(flat))
-    parts = [(0, len(flat))]
-    while parts:
-        start, stop = parts.pop()
-        if stop - start <= block:
-            continue
-        rows = order[start:stop]
-        spread = flat[rows[:: -(-len(rows) // _FOR_SPREAD)]].var(axis=0)
-        # Whole blocks to the left, so that all but the last are full.
-        middle = (-(-len(rows) // block) + 1) // 2 * block
-        along = flat[rows, np.argmax(spread)]
-        order[start:stop] = rows[np.argpartition(along, middle)]
-        parts += [(start, start + middle), (start + middle, stop)]
-    return order
+def _ordered(flat: Singles, rows: Indices, block: int) -> Indices:
+    """Return an order in which the postures of each block lie near each other."""
+    if len(rows) <= block:
+        return rows
+    spread = flat[rows[:: -(-len(rows) // _FOR_SPREAD)]].var(axis=0)
+    # Only whole blocks to the left, so that all but the last block are full.
+    middle = (-(-len(rows) // block) + 1) // 2 * block
+    rows = rows[np.argpartition(flat[rows, np.argmax(spread)], middle)]
+    parts = (_ordered(flat, part, block) for part in (rows[:middle], rows[middle:]))
+    return np.concatenate([*parts])
 
 
 @lru_cache(maxsize=4)
 def builtin_database(skeleton: Skeleton) -> PostureDatabase:
-    """Return the database of scripted motions that comes with kinefilter."""
+    """Return the database of scripted motions that ships with kinefilter."""
     folder = Path(__file__).parents[1] / "embedded"
     return PostureDatabase.load(folder / f"{skeleton.name}_postures.npz")

@@ -1,6 +1,6 @@
 """The threshold rule, which keeps postures that differ (Shum 2013, section V.A).
 
-Postures may lie on a disk: a block of them at a time, and what is kept, is in memory.
+Postures can be memory-mapped: only one block of them and those kept are in memory.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Indices
+from kinefilter.characters.arrays import Indices, chunks
 
-_BLOCK = 512  # postures compared at a time, a matter of speed alone
+_BLOCK = 512  # postures compared at a time; affects only the speed
 _TOO_MANY = 50_000
-"""A threshold that keeps more postures is given up, and four times the count at least:
-they have to be in memory, and each later posture is compared with all of them."""
+"""A threshold that keeps more than this, and more than four times the count, is given
+up: the kept postures are in memory, and each later one is compared with all of them."""
 
 
 def filter_postures(
@@ -25,22 +25,21 @@ def filter_postures(
     among: Indices | None = None,
     most: int | None = None,
 ) -> Indices:
-    """Return the indices of postures that differ from all kept before them.
+    """Return the indices of postures that differ from all those kept before them.
 
-    A posture (N, J, 3) stays if the sum of squared differences of its joint positions
-    to every posture kept so far is over the threshold [m^2]. Only those ``among`` some
-    indices may stay, and more than ``most`` end it at once.
+    A posture (N, J, 3) is kept if the sum of squared differences of its joint positions
+    to every posture kept so far exceeds the threshold [m^2]. Only postures ``among``
+    some indices are considered; the search ends once more than ``most`` are kept.
     """
     rows = np.arange(len(positions)) if among is None else among
     kept = np.empty(0, dtype=np.intp)
     others, lengths = np.empty((0, positions[:1].size)), np.empty(0)
-    for start in range(0, len(rows), _BLOCK):
-        block = rows[start : start + _BLOCK]
+    for frames in chunks(len(rows), _BLOCK):
+        block = rows[frames]
         flat = np.asarray(positions[block], dtype=np.float64).reshape(len(block), -1)
         squares = np.sum(flat * flat, axis=1)
         far = np.ones(len(block), dtype=np.bool_)
-        for first in range(0, len(kept), 8 * _BLOCK):
-            some = slice(first, first + 8 * _BLOCK)
+        for some in chunks(len(kept), 8 * _BLOCK):
             away = squares[:, None] - 2.0 * (flat @ others[some].T) + lengths[some]
             far &= away.min(axis=1) > threshold
         within = squares[:, None] - 2.0 * flat @ flat.T + squares
@@ -56,17 +55,18 @@ def filter_postures(
 
 
 def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices:
-    """Return the indices that the threshold rule keeps, about ``count`` of them.
+    """Return the indices of about ``count`` postures that the threshold rule keeps.
 
-    Bisects the threshold until the rule keeps the count within 2 % of the positions
-    [m], shape (N, J, 3). What a threshold that kept too many has dropped is not looked
-    at again by the larger ones.
+    Bisects the threshold until the rule keeps the count, within 2 %, of the postures
+    [m], shape (N, J, 3). Postures that a threshold dropped although it kept too many
+    are not tried again with larger ones.
     """
     rest = kept = np.arange(len(positions))
     if len(positions) <= count:
         return kept
     most = max(_TOO_MANY, 4 * count)
-    low, high = 0.0, _farthest(positions)
+    extent = np.subtract(positions.max(axis=0), positions.min(axis=0), dtype=np.float64)
+    low, high = 0.0, float(np.sum(extent**2))  # no squared distance is larger
     for _ in range(40):
         middle = (low + high) / 2.0
         kept = filter_postures(positions, middle, among=rest, most=most)
@@ -79,13 +79,3 @@ def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices
         if len(kept) <= most:
             rest = kept
     return kept
-
-
-def _farthest(positions: NDArray[np.floating[Any]]) -> float:
-    """Return an upper bound of the squared distance of two postures [m^2]."""
-    low = high = np.asarray(positions[0], dtype=np.float64)
-    for start in range(0, len(positions), _BLOCK):
-        block = positions[start : start + _BLOCK]
-        low = np.minimum(low, block.min(axis=0))
-        high = np.maximum(high, block.max(axis=0))
-    return float(np.sum((high - low) ** 2))

@@ -1,4 +1,4 @@
-"""Which joints are a limb, and what of a limb is hidden."""
+"""The joints of each limb, and the hidden part of a limb."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.skeleton import SIDES
 
 from .windows import Limb
 
-_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a segment has to be seen
+_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a visible segment is seen
 _TIPS = ("Hand", "Foot", "Thumb")
 _LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
 
@@ -20,12 +20,9 @@ _LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
 @cache
 def limbs(skeleton: Skeleton) -> tuple[tuple[int, int, int], ...]:
     """Return shoulder, elbow and wrist, or hip, knee and ankle, of each limb."""
+    index = skeleton.index
     return tuple(
-        (
-            skeleton.index(top + side),
-            skeleton.index(middle + side),
-            skeleton.index(end + side),
-        )
+        (index(top + side), index(middle + side), index(end + side))
         for side in SIDES
         for top, middle, end in _LIMBS
     )
@@ -33,7 +30,7 @@ def limbs(skeleton: Skeleton) -> tuple[tuple[int, int, int], ...]:
 
 @cache
 def in_limbs(skeleton: Skeleton) -> Flags:
-    """Return which joints are beyond a shoulder or a hip, shape (J,)."""
+    """Return True for joints beyond a shoulder or a hip, shape (J,)."""
     inside = np.zeros(len(skeleton), dtype=np.bool_)
     for top, _, _ in limbs(skeleton):
         inside[skeleton.beyond(top)] = True
@@ -41,33 +38,29 @@ def in_limbs(skeleton: Skeleton) -> Flags:
 
 
 def with_tips(hidden: Flags, skeleton: Skeleton) -> Flags:
-    """Return flags (..., J) that hold for hands and feet of hidden wrists and ankles.
+    """Return flags (..., J) in which hidden wrists and ankles hide hands and feet.
 
-    What is seen of a hand whose wrist is not is no more than its place.
+    A hand without its wrist shows only its own position, not that of the arm.
     """
-    tips, ends = _tips(skeleton)
-    hidden = hidden.copy()
-    hidden[..., tips] |= hidden[..., ends]
-    return hidden
+    return np.asarray(hidden | hidden[..., _ends(skeleton)])
 
 
 @cache
-def _tips(skeleton: Skeleton) -> tuple[list[int], list[int]]:
-    """Return the joints beyond wrists and ankles, and the wrist or ankle of each."""
-    pairs = [(t, end) for _, _, end in limbs(skeleton) for t in skeleton.beyond(end)]
-    return [tip for tip, _ in pairs], [end for _, end in pairs]
+def _ends(skeleton: Skeleton) -> Indices:
+    """Return the wrist or ankle of hand and foot joints, others themselves, (J,)."""
+    ends = np.arange(len(skeleton))
+    for _, _, end in limbs(skeleton):
+        ends[skeleton.beyond(end)] = end
+    return ends
 
 
 def limb_of(
     skeleton: Skeleton, joints: tuple[int, int, int], known: Array
 ) -> Limb | None:
-    """Return what of a limb is hidden; None where it is seen.
+    """Return the hidden part of a limb, given from the trunk outwards, or None.
 
-    Args:
-        skeleton: The joints.
-        joints: The limb, from the trunk outwards.
-        known: Share of a gap's frames in which each segment is seen, NaN for one that
-            never is, shape (J,).
+    ``known`` (J,) is the share of a gap's frames in which each segment is seen, NaN for
+    one that is never seen.
     """
     gone = tuple(j for j in joints[1:] if known[j] < 0.5)
     if not gone:

@@ -1,10 +1,10 @@
-"""What people mostly do with a limb while it is hidden, as learned from recordings.
+"""The learned prior of hidden limbs: what people mostly do with them.
 
-Small networks tell how far a limb departs from where it would go on, from what the rest
-of the body does meanwhile and how the limb went before (and after). They were learned
-from takes and mocap in which it was seen (``pipeline.lab.limb_lessons``). Right limbs
-are told as mirror images of left ones, and segments by their names, so that the same
-networks serve all sensors.
+Small networks predict how far a limb departs from continuing its motion, from what the
+rest of the body does meanwhile and how the limb moved before (and after). They were
+trained on takes and mocap in which it was seen (``pipeline.lab.limb_lessons``). Right
+limbs are treated as mirror images of left ones, and segments are identified by name, so
+the same networks serve all sensors.
 """
 
 from __future__ import annotations
@@ -24,42 +24,32 @@ from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.npz import read_arrays
 
-from .windows import (
-    SEEN,
-    SEEN_CHANGE,
-    SEEN_SPEED,
-    Limb,
-    Stretches,
-    Windows,
-    describe,
-    visible_motion,
-)
+from . import windows
+from .windows import Descriptions, Limb, Stretches
 
+# Hidden segments by the name of their networks.
 PARTS = {
     "arm": ("Elbow", "Wrist"),
     "forearm": ("Wrist",),
     "leg": ("Knee", "Ankle"),
     "shin": ("Ankle",),
 }
-"""What is hidden, by the name of its networks."""
-OUTPUT = 0.2
-"""Departure of a direction's component that networks give as 1."""
+OUTPUT = 0.2  # departure of a direction's component at a network output of 1
 _OTHERS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-_LONGEST = 8.0  # longest time among the features: what was learned lasts no longer
-_MOVES = 0.3  # how much of a direction is worth 1 among the inputs
-_MOST = 1.0  # departure of a component that is believed, however odd the inputs
-_NEAR = 0.2  # s from the gap's ends in which the limb is about where it goes on
+_LONGEST = 8.0  # longest time among the features: there were no longer gaps in training
+_MOVES = 0.3  # change of a direction that corresponds to an input of 1
+_MOST = 1.0  # maximum departure of a component, for unusual inputs
+_NEAR = 0.2  # s from the ends of a gap within which the departure fades to zero
 
 Network = list[tuple[Array, Array]]
 
 
 class MotionPrior:
-    """Describes hidden limbs as ``describe`` does, going on as people mostly do.
+    """Describes hidden limbs as ``windows.describe`` does, plus the learned departure.
 
-    Args:
-        networks: Of each part of PARTS, after ``before`` or ``between`` (frames before
-            the gap known, or after as well): the inputs' mean, shape (F,), and weights
-            and biases of the layers. Without networks all limbs go on as they went.
+    ``networks`` holds, under the names that ``network_name`` gives, the mean of the
+    inputs, shape (F,), and the weights and biases of the layers. Without networks every
+    limb continues its previous motion.
     """
 
     def __init__(self, networks: Mapping[str, tuple[Array, Network]]) -> None:
@@ -80,20 +70,18 @@ class MotionPrior:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the networks as named arrays, for a file."""
-        found: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, NDArray[Any]] = {}
         for name, (mean, layers) in self.networks.items():
-            found[f"{name}_mean"] = mean.astype(np.float32)
+            arrays[f"{name}_mean"] = mean.astype(np.float32)
             for k, (weights, biases) in enumerate(layers):
-                found[f"{name}_weights_{k}"] = weights.astype(np.float16)
-                found[f"{name}_biases_{k}"] = biases.astype(np.float32)
-        return found
+                arrays[f"{name}_weights_{k}"] = weights.astype(np.float16)
+                arrays[f"{name}_biases_{k}"] = biases.astype(np.float32)
+        return arrays
 
     def change(self, name: str, inputs: Array) -> Array:
-        """Return how directions depart from where they go on, shape (..., 3 H).
+        """Return the departure of directions from continued motion, shape (..., 3 H).
 
-        Args:
-            name: The network.
-            inputs: What ``inputs_of`` gives, shape (..., F).
+        ``name`` is that of the network; ``inputs`` (..., F) come from ``inputs_of``.
         """
         mean, layers = self.networks[name]
         values = np.where(np.isnan(inputs), 0.0, inputs - mean)
@@ -103,9 +91,9 @@ class MotionPrior:
                 values = np.maximum(values, 0.0)
         return np.clip(OUTPUT * values, -_MOST, _MOST)
 
-    def describe(self, hidden: Stretches) -> Windows:
+    def describe(self, hidden: Stretches) -> Descriptions:
         """Describe stretches as ``windows.describe`` does, with the learned base."""
-        found = describe(hidden)
+        found = windows.describe(hidden)
         part, mirrored = part_of(hidden.seen.skeleton, hidden.limb)
         name = network_name(part, ahead=hidden.ahead)
         if name not in self.networks:
@@ -121,17 +109,17 @@ class MotionPrior:
 
 @cache
 def default_prior() -> MotionPrior:
-    """Return the prior that ships."""
+    """Return the prior that ships with kinefilter."""
     return MotionPrior.load(Path(__file__).parents[1] / "embedded" / "hidden_limbs.npz")
 
 
 def network_name(part: str, *, ahead: bool) -> str:
-    """Return the name of the networks for a part of PARTS."""
+    """Return a part's network name; ``ahead`` if frames after the gap are known."""
     return f"{part}_{'between' if ahead else 'before'}"
 
 
 def part_of(skeleton: Skeleton, limb: Limb) -> tuple[str, bool]:
-    """Return what of PARTS is hidden, "" if none, and whether it is a right limb."""
+    """Return the hidden part out of PARTS, "" for none, and True for a right limb."""
     names = [skeleton.joints[j] for j in limb.hidden]
     for mirrored, side in enumerate(SIDES):
         for part, joints in PARTS.items():
@@ -140,11 +128,11 @@ def part_of(skeleton: Skeleton, limb: Limb) -> tuple[str, bool]:
     return "", False
 
 
-def inputs_of(hidden: Stretches, found: Windows) -> Array:
-    """Return what the networks are told, shape (W, M, F), as of a left limb.
+def inputs_of(hidden: Stretches, found: Descriptions) -> Array:
+    """Return the inputs of the networks, shape (W, M, F), as for a left limb.
 
-    ``found`` is what ``describe`` returns for the stretches. Segments that are not
-    visible either are told as if they did not move.
+    ``found`` is what ``windows.describe`` returns for the stretches. Segments that are
+    hidden as well enter as if they did not move.
     """
     skeleton, limb = hidden.seen.skeleton, hidden.limb
     _, mirrored = part_of(skeleton, limb)
@@ -152,16 +140,17 @@ def inputs_of(hidden: Stretches, found: Windows) -> Array:
     sides = SIDES[::-1] if mirrored else SIDES
     others = (skeleton.index(name + side) for side in sides for name in _OTHERS)
     body = tuple(j for j in (*trunk, *others) if j not in limb.hidden)
-    change, speed, place = visible_motion(hidden, body)
+    change, speed, place = windows.visible_motion(hidden, body)
     gone = np.repeat([j not in limb.visible for j in body], 3)
     place[..., gone] -= change[..., gone]
     change[..., gone] = speed[..., gone] = 0.0
-    # Of what ``describe`` tells, only what the visible segments do is told otherwise.
+    # The features without those of the visible segments, which ``body`` replaces.
     count, times = 3 * len(limb.visible), 1 + hidden.ahead
     root = found.features[..., count : count + 3]
     own = found.features[..., 3 * count + 3 : -times]
     moved = (found.base - found.still).reshape(*own.shape[:2], -1) / _MOVES
-    parts = [change / SEEN_CHANGE, root, speed / SEEN_SPEED, place / SEEN, own, moved]
+    change, speed = change / windows.SEEN_CHANGE, speed / windows.SEEN_SPEED
+    parts = [change, root, speed, place / windows.SEEN, own, moved]
     vectors, elapsed = np.concatenate(parts, axis=-1), found.features[..., -times:]
     if mirrored:
         vectors[..., ::3] *= -1.0

@@ -18,13 +18,13 @@ from .limbs import in_limbs
 from .prior import MotionPrior
 from .tracker import HiddenLimbTracker
 
-_MOSTLY_INFERRED = 0.3  # share of tracked frames under which a guess is all there is
-_LATELY = 300  # frames that the share is a mean over, live
-_BETWEEN = 2.0  # s between takes: nobody moves from one to the next
+_MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred joints are kept
+_LATELY = 300  # frames over which that share is averaged in live motion
+_BETWEEN = 2.0  # s between takes, so that no motion continues from one to the next
 
 
 class Reconstruct(Stage):
-    """Lets limbs that the sensor did not see, or only guessed, go on as they went."""
+    """Continues the motion of limbs that the sensor did not see, or only inferred."""
 
     name = "reconstruct"
     in_parts = False
@@ -34,7 +34,7 @@ class Reconstruct(Stage):
         self._others: list[Take] | None = None
 
     def start(self, body: Body) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         self._tracker = HiddenLimbTracker(body, self._prior)
         self._tracked, self._frames = np.zeros(len(body.skeleton)), 0
 
@@ -43,66 +43,49 @@ class Reconstruct(Stage):
         now = draft.state == State.TRACKED
         self._frames = min(self._frames + 1, _LATELY)
         self._tracked = self._tracked + (now - self._tracked) / self._frames
-        hidden = hidden_joints(
-            draft.measured, draft.state, draft.skeleton, self._tracked
-        )
-        draft.filled, draft.hidden = self._tracker.step(
-            draft.measured, hidden, float(draft.time)
-        )
+        measured, skeleton = draft.measured, draft.skeleton
+        hidden = hidden_joints(measured, draft.state, skeleton, self._tracked)
+        time = float(draft.time)
+        draft.filled, draft.hidden = self._tracker.step(measured, hidden, time)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Fill the hidden joints of a take."""
         if self._others is None:
             self._others = [read_take(file) for file in self._files]
-        hidden = hidden_joints(draft.measured, draft.state, draft.skeleton)
-        recorded = draft.measured[:, draft.skeleton.root]
-        time, positions, first = draft.time, draft.measured, 0
+        skeleton, time, positions = draft.skeleton, draft.time, draft.measured
+        hidden = hidden_joints(positions, draft.state, skeleton)
+        recorded, first = positions[:, skeleton.root], 0
         for other in self._others:
-            if other.skeleton != draft.skeleton:
+            if other.skeleton != skeleton:
                 raise InputError(
-                    f"{other.source}: {other.skeleton.name}, but the take is "
-                    f"{draft.skeleton.name}; --same-person needs the same sensor"
+                    f"{other.source}: is a take of {other.skeleton.name}, but this one "
+                    f"is of {skeleton.name}; --same-person needs the same sensor"
                 )
             new = np.diff(other.time, prepend=-np.inf) > 0
             before = other.time[new] + time[0] - _BETWEEN - other.time[-1]
-            # A take must not teach itself; its root is as it was recorded.
             seen = leveled(other.positions[new], draft.turn.tilt, draft.turn.roll)
-            roots = seen[:, draft.skeleton.root]
-            taken_out = np.isnan(recorded[:, 0])
-            if len(roots) == len(recorded) and np.array_equal(
-                roots[~taken_out], recorded[~taken_out]
-            ):
+            # A take must not learn from itself; its root is as it was recorded.
+            roots, known = seen[:, skeleton.root], ~np.isnan(recorded[:, 0])
+            if roots.shape == recorded.shape and (roots == recorded)[known].all():
                 continue
             time = np.concatenate([before, time])
             positions = np.concatenate([seen, positions])
-            blind = hidden_joints(
-                other.positions[new], other.state[new], other.skeleton
-            )
+            blind = hidden_joints(other.positions[new], other.state[new], skeleton)
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
-        filled, which = fill_hidden(
-            time, positions, hidden, draft.skeleton, self._prior
-        )
+        filled, which = fill_hidden(time, positions, hidden, skeleton, self._prior)
         draft.filled, draft.hidden = filled[first:], which[first:]
 
 
 def hidden_joints(
-    positions: Array,
-    state: Codes,
-    skeleton: Skeleton,
-    tracked: Array | None = None,
+    positions: Array, state: Codes, skeleton: Skeleton, tracked: Array | None = None
 ) -> Flags:
-    """Return which joints are missing, or only inferred beyond shoulder and hip.
+    """Return True for joints that are missing, or of a limb and only inferred.
 
-    Of the trunk, what the sensor infers is better than what went before; so it is of
-    a joint that it hardly ever tracks.
-
-    Args:
-        positions: Joint positions [m], NaN where missing, shape (..., J, 3).
-        state: Tracking states (State), shape (..., J).
-        skeleton: The joints.
-        tracked: Share of frames in which each joint is tracked, shape (J,); by default
-            that of all frames.
+    Inferred joints of the trunk, and those that the sensor hardly ever tracks, are not
+    hidden: what the sensor infers is better there than what went before. ``tracked``
+    (J,) is the share of frames in which each joint is tracked; by default that of all
+    frames of the take.
     """
     now = state == State.TRACKED
     often = (now.mean(axis=0) if tracked is None else tracked) > _MOSTLY_INFERRED

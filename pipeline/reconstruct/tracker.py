@@ -13,19 +13,19 @@ from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.stance import smooth_step
 
-from .foothold import standing_height
+from .foothold import planted_height
 from .hidden_limbs import PAUSE
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import Recall, learn
 from .windows import Limb, Seen, Stretches
 
-_MEMORY = 1800  # frames that are learned from: a minute at 30 Hz
-_LEARNS = 0.1  # s that a limb is hidden before it is worth learning about
-_JOINS = 0.2  # s in which a limb that is seen again is joined
-_FADES = 0.1  # s in which what was learned comes in
-_STRETCH = 1.5  # s hidden, in what is learned from
-_NEW = 0.03  # share of a frame in how a hand is bent on average: about a second
+_MEMORY = 1800  # frames to learn from: a minute at 30 Hz
+_LEARNS = 0.1  # s for which a limb is hidden before the recent frames are learned from
+_JOINS = 0.2  # s in which a limb that is seen again returns to the measurement
+_FADES = 0.1  # s in which what was learned fades in
+_STRETCH = 1.5  # s: length of the stretches to learn from
+_NEW = 0.03  # weight of a frame in the mean angle of a hand: about a second
 _RATE = 30.0  # Hz, until the stream shows its own
 
 
@@ -42,48 +42,38 @@ class _Gap:
 
 
 class HiddenLimbTracker:
-    """Fills the joints of each frame that nobody saw from those before.
+    """Fills the hidden joints of each frame from the frames before.
 
-    A limb comes to rest as it went, a foot that stood stays, and what the last minute
-    shows of the limb's movement is added. When it is seen again, it is joined within
-    a fifth of a second.
-
-    Args:
-        body: The person.
-        prior: What people mostly do; by default the one that ships.
+    A limb continues its motion and comes to rest, a planted foot stays in place, and
+    what the last minute shows of the limb's motion is added. When the limb is seen
+    again, it returns to the measurement within a fifth of a second.
     """
 
     def __init__(self, body: Body, prior: MotionPrior | None = None) -> None:
         self._prior = prior or default_prior()
         self._body, self._limbs = body, limbs(body.skeleton)
         self._parents = np.array(body.skeleton.parents)
-        joints = body.skeleton.order
-        self._hands = [j for j in joints if body.skeleton.hands[j]]
+        self._hands = [j for j in body.skeleton.order if body.skeleton.hands[j]]
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
-        n = len(self._body.skeleton)
+        """Reset the state for a new motion."""
+        rows, n = 2 * _MEMORY, len(self._body.skeleton)
         self._count, self._gaps = 0, dict[int, _Gap]()
-        self._times = np.zeros(2 * _MEMORY)
-        self._root, self._yaw = np.zeros((2 * _MEMORY, 3)), np.zeros(2 * _MEMORY)
-        self._positions = np.zeros((2 * _MEMORY, n, 3))
-        self._directions = np.zeros((2 * _MEMORY, n, 3))
-        self._known = np.zeros((2 * _MEMORY, n), dtype=np.bool_)
-        self._joined = np.zeros(2 * _MEMORY, dtype=np.bool_)
-        self._bent = np.zeros((n, 3))
-        self._offset, self._since = np.zeros((n, 3)), np.full(n, np.inf)
+        self._times, self._yaw = np.zeros((2, rows))
+        self._root = np.zeros((rows, 3))
+        self._positions, self._directions = np.zeros((2, rows, n, 3))
+        self._known = np.zeros((rows, n), dtype=np.bool_)
+        self._joined = np.zeros(rows, dtype=np.bool_)
+        self._bent, self._offset = np.zeros((2, n, 3))
+        self._since = np.full(n, np.inf)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
 
     def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
-        """Return the next frame's joint positions [m], and which of them were filled.
+        """Return the next frame's joint positions [m], and flags of filled joints.
 
-        Joints that were never seen stay as they are.
-
-        Args:
-            positions: Joint positions [m], sensor frame with y up, shape (J, 3).
-            hidden: Which of them nobody saw, shape (J,).
-            time: Time stamp [s], later than the last.
+        Positions are in the sensor frame with y up, shape (J, 3), and the time stamp
+        [s] is later than the last. Joints that were never seen stay as they are.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
@@ -116,7 +106,7 @@ class HiddenLimbTracker:
             else:
                 self._gaps.pop(limb, None)
         filled = self._placed(placed, there, self._directions[k])
-        self._positions[k] = self._joining(filled, hidden, time - self._times[k - 1])
+        self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])
         self._count += 1
         self._ever |= there
         hidden &= self._ever
@@ -143,67 +133,55 @@ class HiddenLimbTracker:
         found[self._body.skeleton.root] = 0.0
         for j in self._body.skeleton.order[1:]:
             if not there[j]:
-                parent = found[self._parents[j]]
-                found[j] = parent + self._body.lengths[j] * directions[j]
+                bone = self._body.lengths[j] * directions[j]
+                found[j] = found[self._parents[j]] + bone
         return found
 
     def _continue(self, key: int, joints: tuple[int, int, int], k: int) -> None:
-        """Move a hidden limb on in the frame of row k."""
-        limb = limb_of(self._body.skeleton, joints, self._known[k].astype(float))
+        """Continue the motion of a hidden limb in the frame of row k."""
+        skeleton, directions = self._body.skeleton, self._directions[k]
+        limb = limb_of(skeleton, joints, self._known[k].astype(float))
         if limb is None:
             return
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
             since = (k, time) if gap is None else (gap.start, gap.time)
-            gap = self._gaps[key] = _Gap(limb, *since, self._floor(k))
-        seen = self._seen(k + 1, gap.floor)
+            ankles = [ends[2] for ends in self._limbs[1::2]]
+            heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
+            gap = self._gaps[key] = _Gap(limb, *since, planted_height(heights))
+        seen = self._motion_so_far(k + 1, gap.floor)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
         stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
         found = self._prior.describe(stretch)
-        directions = found.base[0]
+        continued = found.base[0]
         if gap.learned is None and time - gap.time >= _LEARNS:
             frames = round(_STRETCH * seen.rate)
             gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
         if gap.recall is not None and gap.learned is not None:
             share = smooth_step(np.array(min((time - gap.learned) / _FADES, 1.0)))
-            recalled = gap.recall(found)[0]
-            directions = unit(directions + share * (recalled - directions))
-        before = self._directions[k].copy()
-        for i, j in enumerate(limb.hidden):
-            self._directions[k, j] = directions[0, i]
-        end = limb.hidden[-1]
+            continued = unit(continued + share * (gap.recall(found)[0] - continued))
+        before, end = directions.copy(), limb.hidden[-1]
+        directions[list(limb.hidden)] = continued[0]
         if limb.leg is None:
-            turn = between(before[end], self._directions[k, end])
-            for j in self._body.skeleton.beyond(end):
+            turn = between(before[end], directions[end])
+            for j in skeleton.beyond(end):
                 if not self._known[k, j]:
-                    self._directions[k, j] = rotate(turn, before[j])
+                    directions[j] = rotate(turn, before[j])
 
-    def _floor(self, count: int) -> float:
-        """Return the height of a standing ankle [m]."""
-        ankles = [joints[2] for joints in self._limbs[1::2]]
-        heights = self._positions[:count, ankles, 1] + self._root[:count, 1, None]
-        return standing_height(heights)
-
-    def _seen(self, count: int, floor: float) -> Seen:
-        """Return what was seen so far."""
+    def _motion_so_far(self, count: int, floor: float) -> Seen:
+        skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
+        heading = HeadingFrame(self._root[:count], self._yaw[:count])
+        positions, directions = self._positions[:count], self._directions[:count]
+        flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
         return Seen(
-            self._body.skeleton,
-            rate,
-            HeadingFrame(self._root[:count], self._yaw[:count]),
-            self._positions[:count],
-            self._directions[:count],
-            self._known[:count],
-            self._joined[:count],
-            np.zeros(count, dtype=np.bool_),
-            self._body.lengths,
-            floor,
+            skeleton, rate, heading, positions, directions, *flags, lengths, floor
         )
 
-    def _joining(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
-        """Return a frame in which limbs that are seen again are joined smoothly."""
+    def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
+        """Return a frame in which limbs that are seen again return smoothly."""
         k = self._count
         back = self._filled & ~hidden
         if back.any():

@@ -1,4 +1,4 @@
-"""A hidden limb over a stretch of time: what is seen meanwhile, and how it goes on.
+"""A hidden limb over a stretch of time: what is seen meanwhile, and where it may go.
 
 The same description serves the gap itself and stretches of the take in which the limb
 was seen, from which ``recall`` learns.
@@ -16,85 +16,82 @@ from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame
 
 from .continuity import CONTEXT, SPEED_FRAMES, bridge_matrix, coast
-from .foothold import bent, hold_place, standing
+from .foothold import held_ankle, leg_to_goal, planted_likelihood
 
-# Length scale of each feature: how much of it makes postures unlike. From experiments
-# on people 1 to 3 of six; halving or doubling any one of them changes little.
-SEEN_CHANGE = 0.5  # m, of a visible segment since the limb was last seen
+# Length scale of each feature in the kernel. From experiments on people 1 to 3 of six;
+# halving or doubling any one of them changes little.
+SEEN_CHANGE = 0.5  # m, change of a visible segment since the limb was last seen
 _ROOT_CHANGE = 2.2  # m, of the root
 SEEN_SPEED = 8.0  # m/s, of a visible segment
-SEEN = 1.5  # m, of a visible segment itself
-_END = 1.5  # of a hidden segment's direction when last (and next) seen
-_END_SPEED = 12.0  # 1/s, of that direction's velocity
+SEEN = 1.5  # m, the visible segment itself
+_END = 1.5  # direction of a hidden segment when last (and next) seen
+_END_SPEED = 12.0  # 1/s, velocity of that direction
 _TIME = 0.5  # s since the limb was last seen, and until it is next seen
-_HELD = 1.5  # of what holding the foot in place does to a direction
-_STANDING_TIME = 0.27  # s before and after a gap that tell whether a foot stands
+_HELD = 1.5  # change of a direction by which the foot is held in place
+_PLANTED_TIME = 0.27  # s before and after a gap that show whether a foot is planted
 
 
 @dataclass(frozen=True)
 class Limb:
-    """A limb of which something is hidden."""
+    """A limb of which some segments are hidden."""
 
     hidden: tuple[int, ...]
-    """Its hidden segments, from the trunk outwards, hands and feet left out."""
+    """Its hidden segments, from the trunk outwards, without hands and feet."""
     visible: tuple[int, ...]
     """Segments of the body that are seen meanwhile."""
     leg: tuple[int, int, int] | None
-    """Hip, knee and ankle, if it is a leg with a hidden ankle."""
+    """Hip, knee and ankle if it is a leg with a hidden ankle."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A motion as far as it is known, gaps bridged; arrays as in a take."""
+    """A motion whose gaps are bridged."""
 
     skeleton: Skeleton
-    """The joints."""
     rate: float
     """Frame rate [Hz]."""
     heading: HeadingFrame
-    """Where the root is and where the body faces, shape (T,)."""
+    """Root position and heading in each frame, shape (T,)."""
     positions: Array
     """Joint positions [m] in the heading frame, shape (T, J, 3)."""
     directions: Array
     """Directions of the segments in the heading frame, shape (T, J, 3)."""
     known: Flags
-    """Whether both ends of each segment were seen, shape (T, J)."""
+    """True where both ends of a segment were seen, shape (T, J)."""
     joined: Flags
-    """Whether each frame follows the one before without a pause, shape (T,)."""
+    """True for frames that follow the one before without a pause, shape (T,)."""
     breaks: Flags
-    """Whether another take, or the same after a break, begins with a frame, (T,)."""
+    """True for the first frame of another take, or after a break, shape (T,)."""
     lengths: Array
-    """Segment lengths [m], shape (J,)."""
+    """Segment lengths [m], NaN for those never seen, shape (J,)."""
     floor: float
-    """Height of a standing ankle [m]."""
+    """Height of a planted ankle [m]."""
 
     def bones(self, segments: tuple[int, ...], frames: Indices) -> Array:
-        """Return segments as vectors [m], shape (..., S, 3) for frames (...)."""
-        ends = self.positions[frames][..., list(segments), :]
+        """Return segments as vectors [m] in frames (...), shape (..., 3 S)."""
+        positions = self.positions[frames]
         parents = [self.skeleton.parents[j] for j in segments]
-        return np.asarray(ends - self.positions[frames][..., parents, :])
+        return _flat(positions[..., list(segments), :] - positions[..., parents, :])
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Stretches of a motion in which a limb is, or is taken to be, hidden."""
+    """Stretches of a motion in which a limb is, or is treated as, hidden."""
 
     seen: Seen
-    """The motion."""
     limb: Limb
-    """What is hidden of it."""
     starts: Indices
     """First hidden frame of each stretch, shape (W,)."""
     length: int
-    """Hidden frames of each stretch."""
+    """Number of hidden frames in each stretch."""
     at: Indices
-    """Which of its frames are described, from 0 on, shape (W, M)."""
+    """The frames to describe, counted from the start of the stretch, shape (W, M)."""
     ahead: bool
-    """Whether what comes after the stretch is known."""
+    """True if the motion after the stretch is known."""
 
     @property
     def frames(self) -> Indices:
-        """Frames of the motion that are described, shape (W, M)."""
+        """Frames of the motion to describe, shape (W, M)."""
         return self.starts[:, None] + self.at
 
     @property
@@ -110,75 +107,61 @@ class Stretches:
 
     @property
     def time(self) -> Array:
-        """Times since the limb was seen, and until it is next [s], shape (2, W, M)."""
+        """Times since the limb was seen and until it is next [s], shape (2, W, M)."""
         return np.stack([self.at + 1.0, self.length - self.at + 0.0]) / self.seen.rate
 
-    @property
-    def share(self) -> Array:
-        """Share of the time between both ends that has passed, shape (W, M, 1)."""
-        return np.asarray((self.at + 1.0) / (self.length + 1.0))[..., None]
-
     def between(self, before: Array, later: Array) -> Array:
-        """Return values on the straight way between both ends, if the later is known.
-
-        Args:
-            before: Values in ``last``, shape (W, 1, C).
-            later: Those in ``after``.
-        """
-        return before + self.share * (later - before) if self.ahead else before
+        """Interpolate values (W, 1, C) from ``last`` to ``after``, if that is known."""
+        share = ((self.at + 1.0) / (self.length + 1.0))[..., None]
+        return before + share * (later - before) if self.ahead else before
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
-    """A limb in some frames of some stretches of time."""
+class Descriptions:
+    """Descriptions of a hidden limb in frames of stretches."""
 
     features: Array
-    """What tells where it goes: components of vectors, and last of all the times since
-    it was seen and, if known, until it is seen next, shape (W, M, F)."""
+    """Components of vectors, and last the times since the limb was seen and, if known,
+    until it is next seen, all in units of their length scales, shape (W, M, F)."""
     base: Array
-    """Directions of its hidden segments as they would go on, shape (W, M, H, 3)."""
+    """Directions of its hidden segments if it continues its motion, (W, M, H, 3)."""
     still: Array
-    """Those that they would have without the speed they had, shape (W, M, H, 3)."""
+    """These directions without the speed that it had, shape (W, M, H, 3)."""
     truth: Array
-    """Their directions in the motion, shape (W, M, H, 3)."""
+    """Directions of these segments in the motion itself, shape (W, M, H, 3)."""
 
 
-def describe(hidden: Stretches) -> Windows:
+def describe(hidden: Stretches) -> Descriptions:
     """Describe stretches in which a limb is hidden."""
     seen, limb, ahead = hidden.seen, hidden.limb, hidden.ahead
     frames, last, after = hidden.frames, hidden.last, hidden.after
-    end_of_motion = len(seen.positions) - 1
+    final = len(seen.positions) - 1
 
     def pointing(which: Indices) -> Array:
         return _flat(seen.directions[which][..., list(limb.hidden), :])
 
-    rest = visible_motion(hidden, limb.visible)
+    change, velocity, bones = visible_motion(hidden, limb.visible)
     roots = seen.heading.root
     moved = roots[frames] - hidden.between(roots[last], roots[after])
-    root = HeadingFrame(np.zeros(3), seen.heading.yaw[frames]).remove(
-        moved[..., None, :]
-    )
+    unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
+    root = unmoved.remove(moved[..., None, :])[..., 0, :]
     per_second = seen.rate / SPEED_FRAMES
     end = pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
     features = [
-        rest[0] / SEEN_CHANGE,
-        root[..., 0, :] / _ROOT_CHANGE,
-        rest[1] / SEEN_SPEED,
-        rest[2] / SEEN,
-        end / _END,
-        end_speed / _END_SPEED,
+        *(change / SEEN_CHANGE, root / _ROOT_CHANGE),
+        *(velocity / SEEN_SPEED, bones / SEEN),
+        *(end / _END, end_speed / _END_SPEED),
     ]
     if ahead:
         context = max(round(CONTEXT * seen.rate), 2)
-        around = np.concatenate(
-            [np.arange(-context, 0), np.arange(context) + hidden.length]
-        )
-        around = np.clip(hidden.starts[:, None] + around, 0, end_of_motion)
+        near = np.arange(context)
+        around = np.concatenate([near - context, near + hidden.length])
+        around = np.clip(hidden.starts[:, None] + around, 0, final)
         matrix = bridge_matrix(hidden.length, context, seen.rate)[hidden.at]
         base = np.einsum("wmk,wkc->wmc", matrix, pointing(around))
         begin = pointing(after)
-        later = pointing(np.minimum(after + SPEED_FRAMES, end_of_motion))
+        later = pointing(np.minimum(after + SPEED_FRAMES, final))
         begin_speed = per_second * (later - begin)
         features += [begin / _END, begin_speed / _END_SPEED]
     else:
@@ -186,41 +169,38 @@ def describe(hidden: Stretches) -> Windows:
     still = np.broadcast_to(hidden.between(end, begin), base.shape)
     base, still = (unit(d.reshape(*frames.shape, -1, 3)) for d in (base, still))
     if limb.leg is None and ahead:
-        going = _momentum(
+        kept = _momentum(
             np.stack([np.broadcast_to(end_speed, begin_speed.shape), begin_speed]),
             (hidden.length + 1) / seen.rate,
-            *(np.linalg.norm(f, axis=-1) for f in (rest[0], root[..., 0, :])),
+            *(np.linalg.norm(f, axis=-1) for f in (change, root)),
         )
-        base = unit(still + going[..., None, None] * (base - still))
+        base = unit(still + kept[..., None, None] * (base - still))
     if limb.leg is not None:
         held = [_on_foot(hidden, limb.leg, d) for d in (base, still)]
-        features.append((held[0] - base).reshape(*frames.shape, -1) / _HELD)
+        features.append(_flat(held[0] - base) / _HELD)
         base, still = held
     features += [elapsed[..., None] / _TIME for elapsed in hidden.time[: 1 + ahead]]
     wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
     truth = seen.directions[frames][..., list(limb.hidden), :]
-    return Windows(np.concatenate(wide, axis=2), base, still, truth)
+    return Descriptions(np.concatenate(wide, axis=2), base, still, truth)
 
 
 def visible_motion(
     hidden: Stretches, segments: tuple[int, ...]
 ) -> tuple[Array, Array, Array]:
-    """Return what segments do meanwhile: change [m], velocity [m/s] and bones [m].
+    """Return change [m], velocity [m/s] and vectors [m] of segments, (W, M, 3 S).
 
-    Shapes (W, M, 3 S). The change is that since the limb was last seen, or from the way
+    The change is relative to when the limb was last seen, or to the straight line
     between both ends of the stretch.
     """
-    seen, frames, last = hidden.seen, hidden.frames, hidden.last
-
-    def bones(which: Indices) -> Array:
-        return _flat(seen.bones(segments, which))
-
-    there, past = bones(frames), bones(np.maximum(frames - 1, 0))
+    seen, frames = hidden.seen, hidden.frames
+    now, past = (seen.bones(segments, k) for k in (frames, np.maximum(frames - 1, 0)))
+    before = seen.bones(segments, hidden.last)
     if not hidden.ahead:
-        return there - bones(last), seen.rate * (there - past), there
-    following = bones(np.minimum(frames + 1, len(seen.positions) - 1))
-    way = hidden.between(bones(last), bones(hidden.after))
-    return there - way, 0.5 * seen.rate * (following - past), there
+        return now - before, seen.rate * (now - past), now
+    following = seen.bones(segments, np.minimum(frames + 1, len(seen.positions) - 1))
+    line = hidden.between(before, seen.bones(segments, hidden.after))
+    return now - line, 0.5 * seen.rate * (following - past), now
 
 
 def _flat(values: Array) -> Array:
@@ -233,19 +213,16 @@ def _momentum(
 ) -> Array:
     """Return how much of its speed at the ends an arm keeps in a gap, shape (W, M).
 
-    A linear rule, fitted to the arms of six people. On each of them, and on each of
-    ten movements, what the others gave took 3 to 5 % off the error of all the speed.
-
-    Args:
-        speeds: Speeds of the directions at both ends [1/s], shape (2, W, 1, C).
-        duration: Time between the ends [s].
-        seen_change: How far visible segments have moved [m], shape (W, M).
-        root_change: How far the root has [m], shape (W, M).
+    A linear rule, fitted to the arms of six people. Fitted without each of them, and
+    without each of ten movements, it reduced the error of keeping all the speed by 3 to
+    5 % on what was left out. ``speeds`` (2, W, 1, C) are the velocities of the
+    directions [1/s] at both ends, which are ``duration`` [s] apart; the changes [m] of
+    the visible segments and of the root have shape (W, M).
     """
     turns = duration * np.sqrt(3.0 / speeds.shape[-1]) * speeds
     far = np.linalg.norm(turns, axis=-1)
     less, more = np.minimum(*far), np.maximum(*far)
-    # Out and back again: the speeds at both ends are against each other.
+    # Positive if the limb moves out and back, with opposite velocities at the ends.
     back = -np.sum(turns[0] * turns[1], axis=-1) / np.maximum(less * more, 0.05)
     keeps = (
         0.56
@@ -260,36 +237,33 @@ def _momentum(
 
 
 def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array:
-    """Return a leg's directions with its ankle held where it stood, as ``base``."""
+    """Return the leg's directions ``base`` with a planted ankle held in place."""
     seen, (hip, knee, ankle) = hidden.seen, leg
     frames, last, after = hidden.frames, hidden.last, hidden.after
-    count = len(seen.positions)
-    far = max(round(_STANDING_TIME * seen.rate), 2)
+    far = max(round(_PLANTED_TIME * seen.rate), 2)
 
     def world(which: Indices) -> Array:
-        """Return the ankle's place [m] in frames, clipped to the motion."""
-        which = np.clip(which, 0, count - 1)
+        """Return the ankle's position [m] in frames, clipped to the motion."""
+        which = np.clip(which, 0, len(seen.positions) - 1)
         place = seen.positions[which, ankle][..., None, :]
         return np.asarray(seen.heading.at(which).restore(place)[..., 0, :])
 
-    stood = standing(world(last + np.arange(1 - far, 1)), seen.rate, seen.floor)
-    stands = standing(world(after + np.arange(far)), seen.rate, seen.floor)
-    place, firm = hold_place(
-        world(last),
-        world(after) if hidden.ahead else None,
-        stood[:, None],
-        stands[:, None],
-        hidden.time,
+    was_planted, is_planted = (
+        planted_likelihood(world(some), seen.rate, seen.floor)[:, None]
+        for some in (last + np.arange(1 - far, 1), after + np.arange(far))
+    )
+    seen_after = world(after) if hidden.ahead else None
+    place, firm = held_ankle(
+        world(last), seen_after, was_planted, is_planted, hidden.time
     )
     place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
-    hips = seen.positions[frames, hip]
-    if knee not in hidden.limb.hidden:
-        knees = seen.positions[frames, knee]
-        ankles = knees + shin * base[..., -1, :]
-        return unit(ankles + firm[..., None] * (place - ankles) - knees)[..., None, :]
-    knees = hips + thigh * base[..., 0, :]
-    ankles = knees + shin * base[..., 1, :]
+    hips, knees = seen.positions[frames, hip], seen.positions[frames, knee]
+    if knee in hidden.limb.hidden:
+        knees = hips + thigh * base[..., 0, :]
+    ankles = knees + shin * base[..., -1, :]
     goal = ankles + firm[..., None] * (place - ankles)
-    knees, ankles = bent(hips, knees, ankles, goal, (thigh, shin))
+    if knee not in hidden.limb.hidden:
+        return unit(goal - knees)[..., None, :]
+    knees, ankles = leg_to_goal(hips, knees, ankles, goal, (thigh, shin))
     return unit(np.stack([knees - hips, ankles - knees], axis=-2))
