@@ -19,6 +19,7 @@ _WORDS = {
     float: "a number",
     int: "a whole number",
     tuple[str, ...]: 'a list such as ["a", "b"]',
+    tuple[float, ...]: "a list of numbers",
 }
 
 
