@@ -1,7 +1,7 @@
-"""Correction methods and reliability scorers by name: a line each, loaded when used.
+"""Correction methods and reliability scorers by name, imported when used.
 
-Whoever adds a method writes one file and adds one line here; the command line's choices
-and the tests read these tables.
+To add one, write one file and add one line here: the choices of the command line and
+the tests come from these tables.
 """
 
 from __future__ import annotations
@@ -10,30 +10,28 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
-_PACKAGE = "kinefilter.pipeline"
-
 
 @dataclass(frozen=True)
 class Method:
-    """Where a correction method is, and what makes it."""
+    """The location of a correction method, and what it is constructed from."""
 
     where: str
     """``module:name`` below ``kinefilter.pipeline``."""
     made_of: Literal["skeleton", "database", "pairs"]
-    """What its constructor takes: a skeleton, a motion database, or a skeleton before
-    ``fit`` learns from pairs of Kinect and mocap."""
+    """What its constructor takes: a skeleton, a posture database, or (``pairs``) a
+    skeleton, after which ``fit`` trains it on pairs of Kinect and mocap."""
     options: tuple[str, ...] = ()
-    """Fields of ``CleanConfig`` that are options of its own."""
+    """Fields of ``CleanConfig`` that its constructor also takes."""
 
     def load(self) -> Any:
-        """Import and return what makes the method."""
+        """Import and return the method's class or factory."""
         return load(self.where)
 
 
 def load(where: str) -> Any:
-    """Import and return what is at ``module:name`` below ``kinefilter.pipeline``."""
+    """Import and return the object at ``module:name`` below ``kinefilter.pipeline``."""
     module, _, name = where.partition(":")
-    return getattr(import_module(f"{_PACKAGE}.{module}"), name)
+    return getattr(import_module(f"kinefilter.pipeline.{module}"), name)
 
 
 METHODS = {
