@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -47,8 +47,6 @@ class Stage(ABC):
 
     name: str
     """Name in tables, progress bars and ``Cleaner.replaced``."""
-    adds: ClassVar[tuple[str, ...]] = ()
-    """Fields of the draft that ``step`` sets and the default ``whole`` collects."""
     in_parts: ClassVar[bool] = True
     """True if each part of a take between long gaps is processed as a take of its own;
     False if the stage measures something all parts share, or handles gaps itself."""
@@ -66,26 +64,9 @@ class Stage(ABC):
     def step(self, draft: Draft) -> None:
         """Process the next frame."""
 
+    @abstractmethod
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Process a whole take: by default ``start``, then ``step`` for each frame."""
-        self.start(draft.body)
-        count, collected = len(draft.time), dict[str, list[Any]]()
-        arrays = {
-            name: value
-            for name, value in vars(draft).items()
-            if isinstance(value, np.ndarray) and len(value) == count
-        }
-        for k in progress(self.name, count):
-            frame = Draft(
-                draft.skeleton, draft.time[k], draft.measured[k], draft.state[k]
-            )
-            for name, array in arrays.items():
-                setattr(frame, name, array[k])
-            self.step(frame)
-            for name in self.adds:
-                collected.setdefault(name, []).append(getattr(frame, name))
-        for name, values in collected.items():
-            setattr(draft, name, np.array(values))
+        """Process a whole take."""
 
     def run(self, draft: Draft, progress: Progress) -> None:
         """Process a whole take, split at long gaps if the stage is ``in_parts``."""
@@ -186,7 +167,6 @@ class Score(Stage):
     """Scores the reliability of every joint."""
 
     name = "reliability"
-    adds = ("reliability", "deciding_term", "geometry")
 
     def __init__(self, config: CleanConfig) -> None:
         scorer = load(SCORERS[config.scoring])

@@ -113,7 +113,7 @@ def test_pairs_come_back_from_their_file(
     ("changes", "message"),
     [
         ({"mocap": np.full((5, 20, 3), 1e300)}, "mocap has a joint 1e.300 m away"),
-        ({"mocap": np.zeros((5, 20, 3))}, "both sides need the same frames"),
+        ({"mocap": np.zeros((5, 20, 3))}, "both need the same frames"),
         ({"joints": np.array(["a"] * 20)}, "not a known skeleton"),
         ({"stop": np.array([10_000] * 3)}, "clip .* is rows"),
     ],
@@ -239,7 +239,7 @@ def test_models_that_do_not_fit_are_refused(
         clean(v2, CleanConfig(model=path))
     with pytest.raises(InputError, match="omit --method, or"):
         clean(take, CleanConfig(model=path, method="kalman"))
-    with pytest.raises(InputError, match="give --model"):
+    with pytest.raises(InputError, match="give a --model"):
         clean(take, CleanConfig(method="learned"))
     with np.load(path) as archive:
         arrays = dict(archive)
