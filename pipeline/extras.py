@@ -1,4 +1,4 @@
-"""Packages that only some commands need."""
+"""Optional packages that only some commands need."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from kinefilter.characters import InputError
 
 
 def require(module: str, purpose: str, extra: str) -> None:
-    """Raise an InputError if a module is not installed; do not load it.
+    """Raise an InputError if a module is not installed, without importing it.
 
-    The message says what needs it, and which extra of kinefilter brings it.
+    The message names its purpose and the extra of kinefilter that installs it.
     """
     if importlib.util.find_spec(module) is None:
         raise InputError(
