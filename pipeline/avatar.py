@@ -42,15 +42,12 @@ class Avatar:
     that of the given frame, and a joint in steady motion trails its measurement by less
     than a centimeter.
 
-    Args:
-        body: The person's body, such as ``standard_body(KINECT_V2, height=1.8)``.
-        scene: Name of a scene, or an MJCF file. The person starts at its origin, facing
-            +z (MuJoCo's +x); without a scene, where the sensor sees them.
-        floor: Height of the floor in the sensor's frame [m]; by default it is tracked
-            under the feet.
-        tracking: Gains that pull the character, or the name of one of TRACKINGS: game
-            yields to pushes and gets up again.
-        corrector: Corrector of the frames; by default that of ``clean``.
+    The person's ``body`` may be ``standard_body(KINECT_V2, height=1.8)``. The person
+    starts at the origin of the ``scene``, a name or an MJCF file, facing +z (MuJoCo's
+    +x); without one, where the sensor sees them. The height of the ``floor`` in the
+    sensor's frame [m] is by default tracked under the feet. ``tracking`` has the gains
+    that pull the character, or is one of TRACKINGS by name: game yields to pushes and
+    gets up again. The ``corrector`` is by default that of ``clean``.
     """
 
     def __init__(

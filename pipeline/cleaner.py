@@ -60,13 +60,11 @@ class CleanResult:
     """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``. Raw is
     the take as recorded, even where swapped sides were put right."""
     coverage: Array
-    """How well the method knows the posture of each frame, in [0, 1], shape (T,); NaN
-    where the method makes no such claim."""
+    """How well the method knows each frame's posture, in [0, 1] or NaN, shape (T,)."""
     trace: PhysicsTrace | None
     """What the simulation did at each distinct time stamp; None without physics."""
     failures: tuple[Failure, ...]
-    """Gross tracker failures, and limbs that cleaning had to move far. Frame numbers
-    count distinct time stamps."""
+    """Tracker failures and limbs that moved far; frames count distinct time stamps."""
     notes: tuple[str, ...]
     """What the user should know about this take."""
     clips: tuple[Clip, ...]
@@ -75,9 +73,9 @@ class CleanResult:
     @property
     def damage(self) -> tuple[str, ...]:
         """Long gaps and tracker failures, with times and remedies, a sentence each."""
-        time = self.clip.time
-        gaps = told_gaps(long_gaps(time), time[0])
-        return (*gaps, *told_failures(self.failures, time[0]))
+        begin = self.clip.time[0]
+        gaps = told_gaps(long_gaps(self.clip.time), begin)
+        return (*gaps, *told_failures(self.failures, begin))
 
     @property
     def share_outside(self) -> float:
@@ -108,8 +106,7 @@ class Cleaner:
         check_kind(tracking, Tracking | None, "the tracking")
         check_kind(corrector, Corrector | None, "the corrector")
         if tracking is None:
-            named = TRACKINGS[config.tracking]
-            tracking = replace(named, **config.parameters.tracking)
+            tracking = replace(TRACKINGS[config.tracking], **config.parameters.tracking)
         stages: tuple[Stage, ...] = (
             Upright(config),  # turn the frame of a strongly tilted or inverted sensor
             Failures(),  # swap sides back, drop impossible bodies, mark bad limbs
@@ -176,17 +173,13 @@ class Cleaner:
     ) -> Draft:
         """Pass the next frame through the stages, without looking ahead.
 
-        Args:
-            positions: Joint positions [m], sensor frame with y up, NaN where missing,
-                shape (J, 3).
-            time: Time stamp [s], later than that of the previous frame.
-            state: Tracking states (State), shape (J,); by default tracked wherever
-                there is a position.
+        Joint positions [m] (J, 3) are in the sensor frame with y up, NaN where missing;
+        the tracking states (State) (J,) are by default tracked wherever there is a
+        position. The time stamp [s] is later than that of the previous frame.
 
         Returns the working state after all stages, with the simulated character's
-        ``positions`` and ``rotations``. Raises an InputError if the frame has the wrong
-        shape, is not numeric or not later than the previous one, or ``start`` was not
-        called.
+        ``positions`` and ``rotations``. Raises an InputError for a wrong shape or time,
+        positions that are not numbers, or if ``start`` was not called.
         """
         if self._body is None:
             raise InputError("step() has no body; call start(body) first")
@@ -196,8 +189,8 @@ class Cleaner:
             raise InputError(f"a frame at {time:g} s; give its time stamp in seconds")
         if self._time is not None and time <= self._time:
             raise InputError(
-                f"a frame at {time:g} s comes after one at {self._time:g} s; give the "
-                "sensor's own increasing time stamps [s], or call start() first"
+                f"a frame at {time:g} s comes after one at {self._time:g} s; give "
+                "increasing time stamps in seconds, or call start() first"
             )
         draft = Draft(skeleton, time, measured, states)
         draft.body = self._body
@@ -246,17 +239,11 @@ class Cleaner:
         before: Unedited | None = None,
         progress: Progress = silent,
     ) -> CleanResult:
-        """Clean a take.
+        """Clean a take, with manual corrections: by default the config's edits.
 
-        Args:
-            take: The take.
-            edits: Manual corrections; by default those of the config's edits file.
-            before: The result of ``unedited``, to clean only the edited parts again; by
-                default it is computed if there are edits.
-            progress: Wraps the frame loops, for a progress bar.
-
-        Raises an InputError if the take holds nothing to clean or a long gap that is to
-        be refused, or the database or the edits do not fit it.
+        With ``before``, a result of ``unedited``, only edited parts are cleaned again.
+        ``progress`` wraps the frame loops. Raises an InputError if there is nothing to
+        clean or a long gap to refuse, or the database or the edits do not fit the take.
         """
         edits = self._edits if edits is None else tuple(edits)
         recorded, frames = self._distinct(take)

@@ -125,10 +125,7 @@ def _command(name: str) -> Any:
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:
-    """Return the fields whose options are on the command line.
-
-    Settings files must not change them.
-    """
+    """Return the fields of the given options, which files must not change."""
     names = set()
     for word in words:
         if word == "--":

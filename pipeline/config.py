@@ -44,8 +44,7 @@ class CleanConfig:
     people). learned also flags joints that the sensor always misplaces, which makes it
     best for finding errors but worse for correcting them."""
     search: Literal["solver", "stochastic"] = "solver"
-    """Search for the posture in local-pca: a solver, or the random sampling of Shum
-    2013."""
+    """Search of local-pca for its posture: a solver, or the sampling of Shum 2013."""
     database: Path | None = None
     """Posture database (.npz) from 'kinefilter database build'. The default is the
     shipped one, built from scripted motions. With a database of recorded mocap,
@@ -60,9 +59,8 @@ class CleanConfig:
     """Other takes of the same person from the same sensor. They help to reconstruct
     hidden limbs, as far as they improve the prediction of visible ones."""
     gaps: Literal["hold", "split", "refuse"] = "hold"
-    """Handling of gaps of more than two seconds without a frame: hold the character
-    still, split the take into several clips (clip.part1.usda, clip.part2.usda and so
-    on), or refuse the take."""
+    """What to do at gaps of more than two seconds without a frame: hold the character
+    still, split the take into clips (clip.part1.usda, ...), or refuse the take."""
     physics: bool = True
     """Pull a simulated character through the motion, so that it obeys dynamics."""
     tracking: TrackingName = "faithful"
@@ -75,12 +73,11 @@ class CleanConfig:
     --save-contacts, edited or not, or a clip (.npz). A foot is planted on its heel, its
     toes or both; a raised heel gets the measured height of the ankle."""
     edits: Path | None = None
-    """TOML file of manual corrections: limbs to distrust, swapped left and right,
-    planted feet, and positions of joints, each with its times. 'kinefilter view' writes
-    it; CONVENTIONS.md describes the format."""
+    """TOML file of manual corrections: when to distrust limbs, swap left and right or
+    plant feet, and positions of joints. 'kinefilter view' writes it; see
+    CONVENTIONS.md."""
     floor: Literal["auto", "none"] | float = "auto"
-    """Height of the floor in the take [m]. auto estimates it from the feet; none keeps
-    y = 0 of the take."""
+    """Height of the floor in the take [m]; auto estimates it, none keeps y = 0."""
     tilt: float | None = None
     """Slope of the floor along the sensor's z axis [degrees], positive if it rises away
     from the sensor. By default it is estimated if the person walks a meter or more, or
@@ -95,9 +92,8 @@ class CleanConfig:
     seed: int = 0
     """Random seed for --search stochastic; the same seed gives the same clip."""
     preset: PresetName | None = None
-    """Complete system of a paper: its reliability, method and constants, and none of
-    the stages it lacks. Systems that learn also need --model from 'kinefilter train
-    --preset'."""
+    """Complete system of a paper: its reliability, method, constants and stages only.
+    Systems that learn also need --model from 'kinefilter train --preset'."""
     set: tuple[str, ...] = ()
     """Parameters of --preset or --method, such as neighbors=20 steps=10. An unknown
     name lists all of them."""

@@ -22,7 +22,6 @@ from .settings import Settings, names_file
 
 FOLDER_FILE = "kinefilter.toml"
 """Name of a file of settings for the takes in its folder."""
-
 _PARTS: dict[str, type[Any]] = {"config": CleanConfig, "export": Export}
 _OWN = {k: hint for k, hint in type_hints(Settings).items() if k not in _PARTS}
 _HINTS = type_hints(CleanConfig) | type_hints(Export) | _OWN
@@ -65,8 +64,7 @@ def overlaid(
 ) -> Settings:
     """Return settings changed by files, later ones overriding earlier ones.
 
-    Files do not change the fields ``given`` by the user. Raises an InputError if a file
-    sets an impossible value.
+    The fields ``given`` by the user stay. Raises InputError for an impossible value.
     """
     for file in files:
         values = {k: v for k, v in file.values.items() if k not in given}

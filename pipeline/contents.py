@@ -52,10 +52,8 @@ _PARTS = {
 _USD = (b"#usda", b"PXR-USDC")
 _IN_PLACE = 1e-5  # m over the floor: no one stands so still
 _LISTED = 30  # joint names listed on a terminal
-_SHOWN_APART = (
-    *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
-    *("states", "gaps", "failures"),
-)
+_SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}
+_SHOWN_APART |= {"states", "gaps", "failures"}
 
 
 def contents_of(
@@ -65,9 +63,8 @@ def contents_of(
 ) -> dict[str, Any]:
     """Return the contents of a file, ready for ``json.dump``.
 
-    There is always ``file``, ``kind`` and ``format``; for takes also ``unit``,
-    ``notes`` and ``bodies``. ``format`` is as for ``read_take``. Raises an InputError
-    if the file cannot be read.
+    Always has ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
+    ``bodies``. ``format`` is as for ``read_take``. Raises an InputError if unreadable.
     """
     file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
@@ -101,15 +98,13 @@ def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
     people, times = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
-    known: dict[str, Any] = {"kind": "clip", "format": "glb"}
-    if len(people) > 1:
-        known["people"] = len(people)
-    return known | {"joints": len(people[0])} | _timing(times)
+    many = {"people": len(people)} if len(people) > 1 else {}
+    known = {"kind": "clip", "format": "glb", **many, "joints": len(people[0])}
+    return known | _timing(times)
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    arrays = array_names(name)
-    contents: dict[str, Any]
+    arrays, contents = array_names(name), dict[str, Any]()
     if "moved_by_physics" in arrays:
         contents = _of_clip(read_npz(name))
     elif "mocap" in arrays:

@@ -28,8 +28,7 @@ class Draft:
     """A take on its way to a clip, or one frame on its way to a pose.
 
     Shapes are those of a frame; the arrays of a take have a leading axis T. Each stage
-    reads the fields that earlier stages set and sets its own; until then they are
-    unset.
+    reads fields that earlier stages set, and sets its own, which are unset until then.
     """
 
     skeleton: Skeleton
@@ -102,8 +101,7 @@ class Draft:
     external_force: Any = float("nan")
     """Force on the body beyond muscles and floor [body weights], shape ()."""
     impossible: bool = False
-    """True if the body had an impossible size or place and was discarded; frames
-    only."""
+    """True if a body of impossible size or place was discarded; frames only."""
     appears: bool = False
     """True if the person is seen first, or suddenly elsewhere; frames only."""
     reset: bool = False

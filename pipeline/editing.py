@@ -51,15 +51,7 @@ def clean_again(
     before: Unedited,
     progress: Progress,
 ) -> Draft:
-    """Return the draft of an edited take.
-
-    Args:
-        stages: All stages, in order.
-        take: The take, with sides swapped and joints removed according to the edits.
-        edits: Manual corrections to the take.
-        before: The take cleaned without edits.
-        progress: Wraps the frame loops.
-    """
+    """Return the draft of an edited take: sides swapped and joints removed already."""
     names = [stage.name for stage in stages]
     correct, feet = names.index("correct"), names.index("feet")
     away = _away(take, [edit for edit in edits if edit.kind in _OF_TAKE])
@@ -85,11 +77,11 @@ def clean_again(
     planted.positions = old.positions + share[..., None] * change
     done, later = copy(before.done), stages[feet + 1 :]
     for part, frames in _again(later, planted, away, progress):
-        if not all(stage.local for stage in later):
-            done = part
-        else:
+        if all(stage.local for stage in later):
             _fade(part, before.done.part(frames), away[frames])
             done.put(part, frames, away <= _AROUND)
+        else:
+            done = part
     done.rotations = continuous(done.rotations)
     near = away <= _AROUND
     done.failures = (
@@ -130,8 +122,7 @@ def _plant(
 ) -> Array:
     """Plant the feet with the edited contacts.
 
-    Returns the time [s] (T,) from each frame to the nearest one in which that moves a
-    foot: for a moved stance, all of its frames.
+    Returns the time [s] (T,) from each frame to the nearest stance that this moves.
     """
     loose, since = copy(draft), draft.time - draft.time[0]
     stage.run(draft, progress)

@@ -70,13 +70,8 @@ _FIELDS = {
     "contact": ("part", "stands", "begin", "end"),
     "pin": ("joint", "time", "position"),
 }
-_TYPES: dict[str, Any] = {
-    "joints": tuple[str, ...],
-    "part": Literal[tuple(FEET)],
-    "stands": bool,
-    "joint": str,
-    "position": tuple[float, ...],
-}  # of the fields that are no times
+_TYPES: dict[str, Any] = {"joints": tuple[str, ...], "joint": str, "stands": bool}
+_TYPES |= {"part": Literal[tuple(FEET)], "position": tuple[float, ...]}  # else float
 _EXPECTED = "expected tables " + ", ".join(
     f"[[{kind}]] with {', '.join(names[:-1])} and {names[-1]}"
     for kind, names in _FIELDS.items()
@@ -183,10 +178,8 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     names = _FIELDS[kind]
     if not isinstance(row, dict) or set(row) != set(names):
         raise InputError(f"{where}: expected {', '.join(names)}; {_EXPECTED}")
-    values = {
-        name: converted(row[name], _TYPES.get(name, float), f"{where}: {name}")
-        for name in names
-    }
+    types = {name: _TYPES.get(name, float) for name in names}
+    values = {n: converted(row[n], types[n], f"{where}: {n}") for n in names}
     joints = (values["joint"],) if kind == "pin" else values.get("joints", ())
     if kind == "distrust" and not joints:
         raise InputError(
@@ -196,10 +189,8 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     if kind == "pin" and not (
         len(position) == 3 and all(abs(x) < _FARTHEST for x in position)
     ):
-        raise InputError(
-            f"{where}: position is {shown(row['position'])}, expected three numbers, "
-            "in meters in the clip's frame"
-        )
+        place = shown(row["position"])
+        raise InputError(f"{where}: position is {place}, expected three numbers [m]")
     time = values.get("time")
     begin, end = values.get("begin", time), values.get("end", time)
     if not 0.0 <= begin <= end < LATEST:
@@ -224,14 +215,9 @@ def with_contacts(contacts: Flags, edits: Iterable[Edit], since: Array) -> Flags
 def edited(take: Take, edits: Iterable[Edit], since: Array | None = None) -> Take:
     """Return a take with swapped sides restored and distrusted joints removed.
 
-    Args:
-        take: The take.
-        edits: Manual corrections; sides are swapped first.
-        since: Times [s] of a sensor's frames after the first frame of a merged take,
-            (T,), for which the edits were checked; by default the take's own.
-
-    Raises:
-        InputError: The take has no such joint or time, or no joint is left.
+    Sides are swapped first. ``since`` are times [s] of a sensor's frames after the
+    first of a merged take, (T,), whose edits were checked; by default the take's own.
+    Raises an InputError if the take lacks an edit's joint or time, or no joint is left.
     """
     checked, skeleton = since is not None, take.skeleton
     since = take.time - take.time[0] if since is None else since
@@ -249,9 +235,7 @@ def edited(take: Take, edits: Iterable[Edit], since: Array | None = None) -> Tak
             positions[where], state[where] = np.nan, State.NOT_TRACKED
             take = replace(take, positions=positions, state=state)
     if not checked and not np.isfinite(take.positions).any():
-        raise InputError(
-            f"{take.source}: the edits distrust every joint in every frame; leave some"
-        )
+        raise InputError(f"{take.source}: the edits distrust every joint; leave some")
     return take
 
 

@@ -1,7 +1,6 @@
 """Correction methods and reliability scorers by name, imported when used.
 
-To add one, write one file and add one line here: the choices of the command line and
-the tests come from these tables.
+To add one, write a file and add a line here: command line and tests use these tables.
 """
 
 from __future__ import annotations
@@ -54,19 +53,16 @@ METHODS = {
     "no-reliability": Method("lab.methods.shum:NoReliability", "database", ("seed",)),
 }
 """Correction methods."""
-
 LEARNED = {name: m for name, m in METHODS.items() if m.made_of == "pairs"}
-"""Correction methods that learn from pairs."""
-
+"""Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
     "chiang": "lab.scorers.chiang:ChiangReliabilityScorer",
     "noise": "lab.scorers.noise:NoiseReliabilityScorer",
     "learned": "lab.scorers.learned:LearnedReliabilityScorer",
 }
-"""Reliability scorers: after Shum 2013, after Chiang 2017, by noise and segment
-lengths, and as learned on simulated people."""
-
+"""Reliability scorers: after Shum 2013, after Chiang 2017, from noise and segment
+lengths, and trained on simulated people."""
 if TYPE_CHECKING:
     MethodName = str
     LearnedName = str

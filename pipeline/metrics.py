@@ -24,7 +24,6 @@ from kinefilter.pipeline.target.support import unexplained
 
 SKATE_HEIGHT = 0.05
 """Height [m] above its standing height under which a foot joint should not slide."""
-
 SKATE_SPEED = 0.2
 """Speed [m/s] above which a foot on the floor visibly skates."""
 
@@ -77,8 +76,7 @@ def bone_length_cv(positions: Array, body: Body) -> float:
 def jitter(time: Array, positions: Array) -> float:
     """Return the mean magnitude of the third difference over dt^3 [m/s^3].
 
-    Uses only runs of four frames with the joint present, at the nominal rate (within
-    half a step).
+    Only runs of four frames with the joint count, evenly spaced within half a step.
     """
     third, nominal = even_differences(time, positions, 3)
     third = _known(third.T)
@@ -119,8 +117,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
 
     A foot should be planted between two frames if its joint is less than 5 cm above its
     standing height in both. Returns the mean horizontal movement [mm per nominal
-    frame], the share of such frames faster than 0.2 m/s, and the highest speed [m/s];
-    NaN if no foot is ever planted.
+    frame], the share of such frames over 0.2 m/s and the top speed [m/s], or else NaN.
     """
     steps, speeds = _steps(time), []
     for foot in body.skeleton.sides("Foot"):

@@ -53,13 +53,12 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     """
     path = check_file(path)
     arrays = read_arrays(path, "a pairs file (npz of arrays)")
-    needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
-    for name in needed:
-        if name not in arrays:
-            expected = f"expected {', '.join(needed)}"
-            raise InputError(f"{path}: no array {name!r}; {expected}")
     try:
         return _clips_of(path, arrays)
+    except KeyError as error:
+        raise InputError(
+            f"{path}: no array {error}; make pairs by 'kinefilter pair'"
+        ) from None
     except (ValueError, TypeError, IndexError, OverflowError) as error:
         raise InputError(
             f"{path}: its arrays are not pairs ({type(error).__name__}); write it again"
@@ -75,10 +74,8 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
                 f"{FARTHEST:g} m; convert to meters, or set the joint to NaN"
             )
     if kinect.shape != mocap.shape:
-        raise InputError(
-            f"{path}: kinect has shape {kinect.shape} but mocap {mocap.shape}; both "
-            "need the same frames and joints"
-        )
+        shapes = f"kinect has shape {kinect.shape} but mocap {mocap.shape}"
+        raise InputError(f"{path}: {shapes}; both need the same frames and joints")
     joints = arrays["joints"].tolist()
     known = {skeleton.joints: skeleton for skeleton in SKELETONS.values()}
     skeleton = known.get(tuple(joints))
@@ -97,9 +94,8 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     pairs, columns = [], (arrays[name] for name in ("clip", "start", "stop"))
     for clip, start, stop in zip(*columns, strict=True):
         if not 0 <= start < stop <= len(kinect):
-            raise InputError(
-                f"{path}: clip {clip} is rows {start} to {stop} of {len(kinect)}"
-            )
+            wrong = f"clip {clip} is rows {start} to {stop} of {len(kinect)}"
+            raise InputError(f"{path}: {wrong}; correct start and stop")
         rows, time = slice(int(start), int(stop)), np.arange(stop - start) / fps
         take = Take(time, kinect[rows], state[rows], skeleton, f"{path}:{clip}")
         pairs.append(PairedTake(take, mocap[rows], subject, str(clip)))

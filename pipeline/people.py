@@ -70,9 +70,8 @@ class Part(NamedTuple):
 def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     """Return the parts of the tracks for each person, in order of time.
 
-    People are in order of appearance, and have no two parts of one sensor at the same
-    time. Frames without any joint belong to no one. Tracks that jump too often to tell
-    who is who are one person each.
+    People are in order of appearance, without simultaneous parts by one sensor. Frames
+    without joints are no one's. Tracks that jump too often are one person each.
     """
     pieces, separable = _pieces(tracks)
     if not separable:

@@ -33,8 +33,7 @@ class Preset:
     scoring: str = "shum"
     """Name of its scorer in ``SCORERS``, which also selects the training data."""
     physics: bool = False
-    """Whether a simulated character follows; otherwise the clip is the corrected
-    joints."""
+    """Whether a simulated character follows the corrected joints."""
 
     @property
     def stages(self) -> dict[str, Any]:
@@ -50,7 +49,6 @@ _TABLE_V = {"neighbors": 30, "dimensions": 20, "steps": 20, "samples": 100}
 _WEIGHTS = {"control": 1.0, "style": 0.5, "kinematics": 1.5, "continuity": 0.25}
 _SHUM = {**_TABLE_V, **_WEIGHTS, "search": "stochastic", "memory": 0.0}
 _EQUATION_22 = {"spatial": 0.6, "temporal": 0.2, "reliability": 0.2}
-
 PRESETS = {
     "shum-2013": Preset(
         "Shum, Ho, Jiang & Takagi 2013", "posture-space", _SHUM, physics=True
@@ -95,7 +93,6 @@ PRESETS = {
     ),
 }
 """Presets by name."""
-
 if TYPE_CHECKING:
     PresetName = str
 else:
@@ -122,10 +119,9 @@ def parameters(
 ) -> Parameters:
     """Return the parameters of a method or preset, with those assigned changed.
 
-    Assignments are NAME=VALUE. The name is a keyword of the method's or the scorer's
-    constructor, a tracking gain, or one of ``stages``: the config fields that the
-    preset decides, with their types. Raises an InputError for an unknown name or an
-    unsuitable value.
+    Assignments are NAME=VALUE, of a keyword of the method's or scorer's constructor, a
+    tracking gain, or one of ``stages``: the config fields that the preset decides, with
+    their types. Raises an InputError for an unknown name or unsuitable value.
     """
     of_method = dict(PRESETS[preset].settings) if preset else {}
     found = Parameters(of_method, {}, {}, {}, {})

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
-
 Progress = Callable[[str, int], Iterable[int]]
 """Called with the name of a stage and its number of steps; yields the steps."""
 

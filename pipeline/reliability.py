@@ -21,12 +21,10 @@ class Reference:
     """The person's segment lengths and directions, against which frames are judged."""
 
     lengths: Array
-    """Length [m] of the segment that ends at each joint, NaN if never seen or the root,
-    shape (J,)."""
+    """Length [m] of the segment to each joint, NaN if never seen or the root, (J,)."""
     directions: Array
-    """Median direction of the segments of trunk, hips and shoulders in the trunk's
-    frame (x left, y up along the spine): where this sensor sees these joints. NaN for
-    other segments, shape (J, 3)."""
+    """Median direction of trunk, hip and shoulder segments in the trunk's frame (x is
+    left, y along the spine), as this sensor sees them, NaN for others, shape (J, 3)."""
     from_reference_posture: bool
     """True if measured in a T-pose or standing, as Shum does; False if the take has no
     such frame, and these are medians over frames in which both ends are tracked."""
@@ -94,9 +92,8 @@ def measure_body(
 ) -> Body:
     """Return the body of the person in a take.
 
-    By default the reference is measured in the take, the height [m] follows from its
-    lengths, and the mass [kg] from the height. Raises an InputError if height or mass
-    is not a human's.
+    By default the reference is measured in the take, the height [m] follows from it,
+    and the mass [kg] from the height. Raises InputError for an inhuman height or mass.
     """
     measured = reference or measure_reference(take)
     return measured_body(

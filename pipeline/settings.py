@@ -33,9 +33,8 @@ class Settings:
     """Frame rate [Hz] of a take without time stamps, as from MediaPipe, FreeMoCap and
     OpenPose. The default is 30."""
     body: int | Literal["all"] | None = None
-    """Which person to clean, counted from 1 in order of appearance, or all, for one
-    clip each (clip.1.usda, clip.2.usda and so on). The default is the person seen in
-    most frames."""
+    """Which person to clean, counted from 1 in order of appearance, or all, for a clip
+    each (clip.1.usda, ...). The default is the person seen in most frames."""
     calibration: Path | None = None
     """Alignment of several sensors, from 'merge --save-calibration'."""
     sessions: Suppress[str | None] = None

@@ -1,8 +1,7 @@
 """The stages of cleaning, each of which does one thing to a frame or a whole take.
 
-``cleaner`` has their order. A stage reads from the draft what earlier stages wrote.
-``step`` sees one frame and those before it, for live motion; ``whole`` gets the entire
-take at once and may look ahead.
+``cleaner`` has their order. A stage reads from the draft what earlier stages wrote. For
+live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead.
 """
 
 from __future__ import annotations
@@ -54,8 +53,7 @@ class Stage(ABC):
     """True if a few seconds of a take give the same result when processed with only
     their surroundings, so that edits need only those seconds to be cleaned again."""
     goes_on: ClassVar[bool] = False
-    """True if ``step`` continues when the person suddenly appears elsewhere; False if
-    the stage must be started again."""
+    """True if the stage need not start again when the person suddenly is elsewhere."""
 
     def start(self, body: Body) -> None:  # noqa: B027 - some stages have no state
         """Reset the state for a new motion of a body."""
@@ -213,11 +211,9 @@ class Standardize(Stage):
 
 
 class Correct(Stage):
-    """Corrects unreliable joints on the standard body, then maps the postures back.
+    """Corrects unreliable joints on the standard body, then maps postures back.
 
-    Args:
-        config: Names the correction method.
-        corrector: Corrector to use instead.
+    The config names the method, unless a corrector is given.
     """
 
     name = "correct"

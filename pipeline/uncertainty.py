@@ -24,7 +24,6 @@ SEEN = ("speed", "unreliable", "unknown posture")
 HIDDEN = ("until seen", "speed at ends", "unknown posture")
 """Features of the joints the sensor saw, and of hidden ones; times and speeds are
 logarithmic."""
-
 _LEAST, _MOST = 0.005, 0.5  # m
 _LARGEST_STRANGENESS = 0.2  # 1 - coverage beyond which errors grow no more
 _ENDS = 3  # frames on either side of a gap over which its speed is averaged
@@ -38,10 +37,9 @@ def uncertainty(draft: Draft) -> Array:
     """
     path = Path(__file__).with_name("embedded") / "uncertainty.toml"
     weights = tomllib.loads(path.read_text("utf-8"))
-    found = np.exp(log_uncertainty(weights, *describe(draft)))
-    found = np.clip(found, _LEAST, _MOST)
+    sigma = np.exp(log_uncertainty(weights, *describe(draft))).clip(_LEAST, _MOST)
     columns = _nearest_judged(draft.skeleton)
-    return np.stack([found[:, of].mean(axis=1) for of in columns], axis=1)
+    return np.stack([sigma[:, of].mean(axis=1) for of in columns], axis=1)
 
 
 def log_uncertainty(

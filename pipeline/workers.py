@@ -25,7 +25,6 @@ _ONE_THREAD = dict.fromkeys(
 _MOST_ON_WINDOWS = 61  # processes that Windows can wait for at a time
 _GRACE = 5.0  # s to finish a file once the work was given up
 _PATIENCE = 1.5  # s until a process is ended less gently
-
 _given_up = threading.Event()
 
 
@@ -75,8 +74,7 @@ def workers(
 ) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes, by default one per core, with extra variables.
 
-    Each has one thread of linear algebra, and ends with the process that started it,
-    however that ends.
+    Each has one thread of linear algebra, and ends with its parent, however that ends.
     """
     # Not forked, which threads of the engine and of linear algebra do not survive.
     context = multiprocessing.get_context("spawn")
@@ -132,8 +130,7 @@ def _watch(receiver: Any) -> None:
 class Worker:
     """A process that runs one call at a time and can be ended at any point.
 
-    It has one thread of linear algebra, and ends with the process that started it,
-    however that ends.
+    It has one thread of linear algebra, and ends with its parent, however that ends.
     """
 
     def __init__(self) -> None:
@@ -149,8 +146,7 @@ class Worker:
     def call(self, function: Callable[[Any], object], argument: object) -> None:
         """Run a module's function; ``calls`` then receives True and the result.
 
-        True comes when the call begins. If the process dies, reading raises EOFError or
-        OSError.
+        True comes when it begins. Reading from a dead process raises EOFError or OSError.
         """
         with suppress(OSError):  # it died while idle, as reading will show
             self.calls.send((function, argument))
