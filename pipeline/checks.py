@@ -53,7 +53,6 @@ def check_take(take: Take) -> None:
     free = psutil.virtual_memory().available
     if needed > free:
         raise InputError(
-            f"{take.source}: cleaning {len(take)} frames needs about "
-            f"{needed / 1e9:.1f} GB of memory, but {free / 1e9:.1f} GB are free; cut "
-            "the take into parts"
+            f"{take.source}: {len(take)} frames need about {needed / 1e9:.1f} GB of "
+            f"memory, but {free / 1e9:.1f} GB are free; cut the take into parts"
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, TypeAlias
 
 from kinefilter.characters import InputError, TrackingName
 
@@ -15,10 +15,7 @@ from .presets import PRESETS, Parameters, PresetName, parameters
 
 _FARTHEST = 10_000.0  # m; no sensor sees a floor farther away
 
-if TYPE_CHECKING:
-    TakeFormat = str
-else:
-    TakeFormat = Literal[tuple(FORMATS)]
+TakeFormat: TypeAlias = Literal[tuple(FORMATS)]  # type: ignore[valid-type]
 """Layouts of takes by name (see ``formats/takes.py``)."""
 
 

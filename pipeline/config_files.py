@@ -46,10 +46,8 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 
     Paths in it are relative to the folder; without one, they must be absolute.
     """
-    values = {}
-    for key, value in parse_toml(
-        text, name, "write lines such as cutoff = 4.0"
-    ).items():
+    values, expected = {}, "write lines such as cutoff = 4.0"
+    for key, value in parse_toml(text, name, expected).items():
         field = key.replace("-", "_")
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))

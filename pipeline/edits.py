@@ -191,7 +191,7 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     ):
         place = shown(row["position"])
         raise InputError(f"{where}: position is {place}, expected three numbers [m]")
-    time = values.get("time")
+    time = values.get("time", 0.0)
     begin, end = values.get("begin", time), values.get("end", time)
     if not 0.0 <= begin <= end < LATEST:
         raise InputError(

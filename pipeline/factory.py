@@ -13,7 +13,7 @@ from .database import PostureDatabase, builtin_database
 from .methods import METHODS
 from .models import Model, load_model
 
-_MODEL_RELIABILITY = 0.5
+_MINIMUM = 0.5
 """Minimum reliability of a measured joint after a model corrected it, which makes it
 count a fifth. On simulated takes 0.5 to 0.75 do about equally well."""
 
@@ -29,7 +29,15 @@ def make_corrector(
     Raises an InputError if the database or model is missing or for another skeleton.
     """
     if config.model is not None:
-        return _from_model(skeleton, config, load_model(config.model))
+        model = load_model(config.model)
+        try:
+            learned = _adapted(skeleton, config, model)
+        except InputError as error:
+            raise InputError(f"{config.model}: {error}") from None
+        if config.method != "local-pca":
+            return learned
+        methods, least = (learned, _build("local-pca", skeleton, config)), _MINIMUM
+        return InTurn(*methods, skeleton=skeleton, least_reliability=least)
     if config.adapt:
         raise InputError("--adapt needs a --model of method local-gp")
     if config.person is not None:
@@ -80,50 +88,40 @@ def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:
     return database
 
 
-def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+    """Return a model's corrector with the parameters and person of the config."""
     if model.skeleton.name != skeleton.name:
         raise InputError(
-            f"{config.model}: a model for {model.skeleton.name}, but the take is "
-            f"{skeleton.name}; train one on pairs of that skeleton"
+            f"a model for {model.skeleton.name}, but the take is {skeleton.name}; "
+            "train one on pairs of that skeleton"
         )
     if config.preset is not None and config.preset != model.preset:
         raise InputError(
-            f"{config.model}: not a model of preset {config.preset}; train one with "
-            f"'kinefilter train --preset {config.preset}'"
+            f"not a model of preset {config.preset}; train one with 'kinefilter train "
+            f"--preset {config.preset}'"
         )
     if config.method not in (None, model.method, "local-pca"):
         raise InputError(
-            f"{config.model}: a model of method {model.method}, but --method is "
-            f"{config.method}; omit --method, or use --method local-pca to run "
-            "local-pca after the model"
+            f"a model of method {model.method}, but --method is {config.method}; omit "
+            "--method, or use --method local-pca to run local-pca after the model"
         )
     corrector: Any = model.corrector
     if config.parameters.given:
-        try:
-            corrector = corrector.adjusted(**config.parameters.given)
-        except InputError as error:
-            raise InputError(f"{config.model}: {error}") from None
+        corrector = corrector.adjusted(**config.parameters.given)
     if config.person is not None:
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
             known = f"only {', '.join(people)}" if people else "and no one else"
             raise InputError(
-                f"{config.model}: does not know {config.person!r}, {known}; train it "
-                "on people with 'kinefilter train --people'"
+                f"does not know {config.person!r}, {known}; train it on people with "
+                "'kinefilter train --people'"
             )
         corrector.know(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:
             raise InputError(
-                f"{config.model}: a model of method {model.method} cannot --adapt; "
-                "train one with --method local-gp"
+                f"a model of method {model.method} cannot --adapt; train one with "
+                "--method local-gp"
             )
         corrector.adapt = True
-    if config.method == "local-pca":
-        corrector = InTurn(
-            corrector,
-            _build("local-pca", skeleton, config),
-            skeleton=skeleton,
-            least_reliability=_MODEL_RELIABILITY,
-        )
     return cast("Corrector", corrector)

@@ -44,7 +44,8 @@ def keyword_hints(kind: Any) -> dict[str, Any]:
 
 def check_fields(settings: Any) -> None:
     """Convert each field of a frozen dataclass to its type, or raise InputError."""
-    for name, hint in type_hints(type(settings)).items():
+    kind: Any = type(settings)
+    for name, hint in type_hints(kind).items():
         value = getattr(settings, name)
         if value is not None or NoneType not in get_args(hint):
             where = f"--{name.replace('_', '-')}"

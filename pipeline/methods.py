@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, TypeAlias
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,7 @@ SCORERS = {
 }
 """Reliability scorers: after Shum 2013, after Chiang 2017, from noise and segment
 lengths, and trained on simulated people."""
-if TYPE_CHECKING:
-    MethodName = str
-    LearnedName = str
-    ScorerName = str
-else:
-    MethodName = Literal[tuple(METHODS)]
-    LearnedName = Literal[tuple(LEARNED)]
-    ScorerName = Literal[tuple(SCORERS)]
+# Choices of the command line, which type checkers cannot follow.
+MethodName: TypeAlias = Literal[tuple(METHODS)]  # type: ignore[valid-type]
+LearnedName: TypeAlias = Literal[tuple(LEARNED)]  # type: ignore[valid-type]
+ScorerName: TypeAlias = Literal[tuple(SCORERS)]  # type: ignore[valid-type]

@@ -56,9 +56,8 @@ def _try_out(corrector: LearnedCorrector) -> None:
     posture = np.tile(body.rest_positions, (3, 1, 1))
     posture -= posture[:, body.skeleton.root, None]
     reliable, sensor = np.ones(posture.shape[:2]), np.tile([2.0, 0.0, 1.0], (3, 1))
-    take = Observation(
-        posture, reliable, reliable, np.arange(3) / 30, body.lengths, sensor
-    )
+    time = np.arange(3) / 30
+    take = Observation(posture, reliable, reliable, time, body.lengths, sensor)
     for person in (None, *getattr(corrector, "people_", np.array([])).tolist()):
         corrector.know(person)
         for found in (corrector.whole(take), corrector.step(take.frame(0))):

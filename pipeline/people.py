@@ -84,8 +84,8 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
         costs = np.full((len(group), len(people) + len(group)), _IMPOSSIBLE)
         new = costs[:, len(people) :]  # a view: each piece may be a new person
         np.fill_diagonal(new, _STRANGER + 2.0 * np.log(_ROOM))
-        for row, piece in enumerate(group):
-            costs[row, : len(people)] = [_cost(person, piece) for person in people]
+        for k, piece in enumerate(group):
+            costs[k, : len(people)] = [_cost(person, piece) for person in people]
         people += [[] for _ in group]
         for row, column in zip(*linear_sum_assignment(costs), strict=True):
             people[column].append(group[row])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from kinefilter.characters import InputError, Tracking
 
@@ -93,10 +93,7 @@ PRESETS = {
     ),
 }
 """Presets by name."""
-if TYPE_CHECKING:
-    PresetName = str
-else:
-    PresetName = Literal[tuple(PRESETS)]
+PresetName: TypeAlias = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
 
 
 class Parameters(NamedTuple):

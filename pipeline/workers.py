@@ -146,7 +146,7 @@ class Worker:
     def call(self, function: Callable[[Any], object], argument: object) -> None:
         """Run a module's function; ``calls`` then receives True and the result.
 
-        True comes when it begins. Reading from a dead process raises EOFError or OSError.
+        True comes when it begins. Once the process is dead, reading raises an error.
         """
         with suppress(OSError):  # it died while idle, as reading will show
             self.calls.send((function, argument))
