@@ -24,8 +24,6 @@ _MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all o
 class Preset:
     """A paper's system: scoring, correction and the stages after them."""
 
-    paper: str
-    """Authors and year of the paper."""
     method: str
     """Name of its method in ``METHODS``."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -49,47 +47,38 @@ _TABLE_V = {"neighbors": 30, "dimensions": 20, "steps": 20, "samples": 100}
 _WEIGHTS = {"control": 1.0, "style": 0.5, "kinematics": 1.5, "continuity": 0.25}
 _SHUM = {**_TABLE_V, **_WEIGHTS, "search": "stochastic", "memory": 0.0}
 _EQUATION_22 = {"spatial": 0.6, "temporal": 0.2, "reliability": 0.2}
+# Chosen on drifting limbs; the papers assume constant velocity of all joints.
+_DRIFT = {"likelihood": "density", "carry": 0.5, "spared": 1.0}
 PRESETS = {
-    "shum-2013": Preset(
-        "Shum, Ho, Jiang & Takagi 2013", "posture-space", _SHUM, physics=True
-    ),
-    "shum-2012": Preset(
-        "Shum & Ho 2012, method A of Shum 2013", "nearest", physics=True
-    ),
-    "shum-no-reliability": Preset(
-        "Method B of Shum 2013", "no-reliability", _SHUM, physics=True
-    ),
+    # Shum, Ho, Jiang & Takagi 2013
+    "shum-2013": Preset("posture-space", _SHUM, physics=True),
+    # Shum & Ho 2012: method A of Shum 2013
+    "shum-2012": Preset("nearest", physics=True),
+    # Method B of Shum 2013
+    "shum-no-reliability": Preset("no-reliability", _SHUM, physics=True),
+    # Liu, Zhou, Leung & Shum 2016
     "liu-2016": Preset(
-        "Liu, Zhou, Leung & Shum 2016",
         "local-gp",
         {"clusters": 30, "samples": 50, "blended": 9, **_EQUATION_22}
-        | {"frames": 2501, "trend": False, "votes": "similarity"}
-        # Chosen on drifting limbs; the paper assumes constant velocity of all joints.
-        | {"likelihood": "density", "carry": 0.5, "spared": 1.0}
+        | {"frames": 2501, "trend": False, "votes": "similarity", **_DRIFT}
         | {"adapt": True},
     ),
+    # Zhou, Liu, Leung & Shum 2014, which Liu 2016 builds on
     "zhou-2014": Preset(
-        "Zhou, Liu, Leung & Shum 2014, which Liu 2016 builds on",
-        "full-gp",
-        {"samples": 2501, "variance": "exact", **_EQUATION_22}
-        | {"likelihood": "density", "carry": 0.5, "spared": 1.0},
+        "full-gp", {"samples": 2501, "variance": "exact", **_EQUATION_22, **_DRIFT}
     ),
-    "shen-2012": Preset(
-        "Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as compared in Liu 2016",
-        "exemplar",
-        {"samples": 16500, "neighbors": 10},
-    ),
+    # Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as compared in Liu 2016
+    "shen-2012": Preset("exemplar", {"samples": 16500, "neighbors": 10}),
+    # Chiang, Chen, Li, Wang & Fu 2017
     "chiang-2017": Preset(
-        "Chiang, Chen, Li, Wang & Fu 2017",
         "clustered-gp",
         {"centroids": 800, "smallest_reliability": 0.7}
         | {"predicts": "positions", "lengths": "own"},
         scoring="chiang",
     ),
+    # Wang, Li, Wu, Lai & Yang
     "wang-low-rank": Preset(
-        "Wang, Li, Wu, Lai & Yang",
-        "low-rank",
-        {"sparsity": 1.0, "growth": 1.05, "iterations": 1000},
+        "low-rank", {"sparsity": 1.0, "growth": 1.05, "iterations": 1000}
     ),
 }
 """Presets by name."""

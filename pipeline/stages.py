@@ -95,10 +95,7 @@ class Failures(Stage):
         self._impossible = ImpossibleBodies(body)
 
     def step(self, draft: Draft) -> None:
-        """Discard the next frame if its body is impossible.
-
-        All other failures can only be recognized by looking ahead.
-        """
+        """Discard an impossible body; other failures take looking ahead to find."""
         draft.impossible = self._impossible.step(draft.measured, draft.time)
         draft.appears = self._impossible.appears
         if draft.impossible:
@@ -199,15 +196,13 @@ class Standardize(Stage):
 
     def step(self, draft: Draft) -> None:
         """Map the next frame."""
-        draft.standard, draft.heading = self._standardizer.step(
-            draft.completed, draft.reliability
-        )
+        joints = draft.completed, draft.reliability
+        draft.standard, draft.heading = self._standardizer.step(*joints)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Map a take."""
-        draft.standard, draft.heading = Standardizer(draft.body).steps(
-            draft.completed, draft.reliability
-        )
+        joints = draft.completed, draft.reliability
+        draft.standard, draft.heading = Standardizer(draft.body).steps(*joints)
 
 
 class Correct(Stage):
@@ -308,10 +303,7 @@ class Physics(Stage):
         self._started = False
 
     def step(self, draft: Draft) -> None:
-        """Pull the character to the next frame.
-
-        With a scene, the results are in the scene's frame.
-        """
+        """Pull the character to the next frame, in the frame of the scene if any."""
         first, self._started = not self._started, True
         if first:
             self._place = self._placement(draft.positions[None], draft.skeleton)
