@@ -7,7 +7,7 @@ entries; ``evaluate`` replaces one of them and measures the final result.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -133,17 +133,14 @@ class Cleaner:
         self._body: Body | None = None
 
     def replaced(self, *stages: Stage) -> Cleaner:
-        """Return a copy in which each given stage replaces the one of the same name.
-
-        Raises an InputError if there is no stage of that name.
-        """
+        """Return a copy with stages replaced by name; raises InputError if unknown."""
         for stage in stages:
             check_kind(stage, Stage, "a stage")
-        return self._changed({stage.name: stage for stage in stages})
+        return self._changed((stage.name, stage) for stage in stages)
 
     def without(self, *names: str) -> Cleaner:
         """Return a copy without the named stages; errors as for ``replaced``."""
-        return self._changed(dict.fromkeys(names))
+        return self._changed((name, None) for name in names)
 
     def until(self, name: str) -> Cleaner:
         """Return a copy that ends with the named stage; errors as for ``replaced``."""
@@ -151,13 +148,14 @@ class Cleaner:
         check_word(name, names, "stage")
         return self.without(*names[names.index(name) + 1 :])
 
-    def _changed(self, changes: Mapping[str, Stage | None]) -> Cleaner:
+    def _changed(self, changes: Iterable[tuple[str, Stage | None]]) -> Cleaner:
         """Return a copy with stages replaced by name, or left out where None."""
-        for name in changes:
-            check_word(name, [stage.name for stage in self.stages], "stage")
-        stages = [changes.get(stage.name, stage) for stage in self.stages]
+        stages: dict[str, Stage | None] = {stage.name: stage for stage in self.stages}
+        for name, stage in changes:
+            check_word(name, stages, "stage")
+            stages[name] = stage
         other = copy(self)
-        other.stages = tuple(stage for stage in stages if stage is not None)
+        other.stages = tuple(stage for stage in stages.values() if stage is not None)
         other._time, other._body = None, None
         return other
 

@@ -60,13 +60,11 @@ class Draft:
     deciding_term: Codes = field(init=False)
     """The reliability term that decided (Term), shape (J,)."""
     hidden: Flags | None = None
-    """Joints the sensor did not see or only guessed, which ``filled`` reconstructs,
-    shape (J,); None without reconstruction."""
+    """Joints that ``filled`` reconstructs, shape (J,); None without reconstruction."""
     filled: Array = field(init=False)
     """``measured`` with hidden joints reconstructed [m], shape (J, 3)."""
     standard: Array = field(init=False)
-    """Joint positions [m] on the standard body, root at the origin, facing +z, NaN
-    where missing, shape (J, 3)."""
+    """Joints [m] on the standard body, root at origin, facing +z, or NaN, (J, 3)."""
     heading: HeadingFrame = field(init=False)
     """Root position and heading that were removed from the standard posture."""
     positions: Array = field(init=False)
@@ -80,8 +78,7 @@ class Draft:
     origin: Codes = field(init=False)
     """Origin of each joint (Origin), shape (J,)."""
     twist: NDArray[Any] | None = None
-    """World segment rotations of similar postures, wxyz, shape (J, 4), to take the
-    twist from; None if the method has none."""
+    """World segment rotations to take the twist from, wxyz, shape (J, 4), or None."""
     stands: Flags = field(init=False)
     """Whether each foot (left, right) is planted, shape (2,)."""
     contacts: Flags = field(init=False)
@@ -111,8 +108,7 @@ class Draft:
     props: tuple[Prop, ...] = ()
     """Props around the character in the simulation; takes only."""
     unedited: Unedited | None = None
-    """The same take cleaned without edits, which body, tilt and floor are taken from;
-    None if the take is not edited."""
+    """The take cleaned without edits, with the body, tilt and floor to use; or None."""
 
     @classmethod
     def of(cls, take: Take) -> Draft:

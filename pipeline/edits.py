@@ -148,7 +148,7 @@ def edits_text(edits: Iterable[Edit]) -> str:
 
 
 class EditsFile:
-    """An edits file that a program changes, and someone else perhaps too."""
+    """An edits file that others may change at the same time."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._known = path, ""

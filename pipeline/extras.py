@@ -8,10 +8,7 @@ from kinefilter.characters import InputError
 
 
 def require(module: str, purpose: str, extra: str) -> None:
-    """Raise an InputError if a module is not installed, without importing it.
-
-    The message names its purpose and the extra of kinefilter that installs it.
-    """
+    """Raise an InputError if a module, part of an extra, is not installed."""
     if importlib.util.find_spec(module) is None:
         raise InputError(
             f"{purpose} needs {module}, which is not installed: "

@@ -17,8 +17,7 @@ class Method:
     where: str
     """``module:name`` below ``kinefilter.pipeline``."""
     made_of: Literal["skeleton", "database", "pairs"]
-    """What its constructor takes: a skeleton, a posture database, or (``pairs``) a
-    skeleton, after which ``fit`` trains it on pairs of Kinect and mocap."""
+    """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
     options: tuple[str, ...] = ()
     """Fields of ``CleanConfig`` that its constructor also takes."""
 

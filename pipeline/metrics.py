@@ -101,10 +101,9 @@ def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, 
 
 
 def lowest_point(positions: Array, body: Body) -> Array:
-    """Return the height [m] of the body's lowest point in each frame, shape (T,).
+    """Return the height [m] of the body's lowest point, NaN without joints, (T,).
 
-    Segments are capsules, so their lowest point is below one of their ends. Missing
-    joints are ignored; a frame without joints is NaN.
+    Segments are capsules, so their lowest point is below one of their ends.
     """
     skeleton = body.skeleton
     ends = np.concatenate([skeleton.segments, skeleton.segment_parents])
@@ -170,10 +169,7 @@ def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> fl
 
 
 def amplitude(positions: Array, body: Body) -> Array:
-    """Return the rms distance [m] of joints from their mean place relative to the root.
-
-    Shape (J,), NaN for the root and for joints never seen.
-    """
+    """Return rms distances [m] from mean places relative to the root, or NaN, (J,)."""
     relative = positions - positions[:, [body.skeleton.root]]
     moves = np.full(positions.shape[1], np.nan)
     for j in body.skeleton.segments:

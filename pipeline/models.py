@@ -69,10 +69,7 @@ def _try_out(corrector: LearnedCorrector) -> None:
 
 
 def load_model(path: Path) -> Model:
-    """Read a model file.
-
-    Raises an InputError if it is missing, not a model, or of a newer kinefilter.
-    """
+    """Read a model; raises InputError if it is missing, damaged or too new."""
     if not as_path(path).is_file():
         raise InputError(f"{path}: no such model; create one with 'kinefilter train'")
     arrays = read_arrays(path, "a model from 'kinefilter train'")

@@ -126,10 +126,7 @@ def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
 
 
 def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
-    """Return tracks cut wherever the person may change, and True.
-
-    If there are too many cuts, return the tracks uncut, and False.
-    """
+    """Return tracks cut where the person may change; uncut, and False, if too often."""
     seen, places, cuts = [], [], list[set[int]]()
     for track in tracks:
         present = ~np.isnan(track.positions[..., 0])

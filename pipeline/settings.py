@@ -70,8 +70,8 @@ class Settings:
 def fingerprint(settings: Settings, suffix: str) -> str:
     """Return a hash of everything but the take that decides the bytes of a clip.
 
-    Files count by their content, not by their path. ``suffix`` is the extension of the
-    clip, such as ``.usdc``. Raises an InputError if a file does not exist.
+    Files count by their content; ``suffix`` is the extension of the clip, such as
+    ``.usdc``. Raises an InputError if a file does not exist.
     """
     known = asdict(settings)
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}

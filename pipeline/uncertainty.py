@@ -47,8 +47,7 @@ def log_uncertainty(
 ) -> Array:
     """Return the logarithm of the uncertainty [m] of the judged joints, (T, 2 P).
 
-    ``weights`` holds bias and weights of each of PARTS, ``seen`` and ``hidden``; the
-    other arguments are those ``describe`` returns.
+    Bias and weights are by seen or hidden and PARTS; ``describe`` returns the others.
     """
     found = np.empty(hidden.shape)
     for k, part in enumerate(PARTS):
