@@ -237,9 +237,11 @@ class ReliabilityScorer:
     def score(self, take: Take) -> Scores:
         """Score a whole take, as ``start`` and a ``step`` for each frame do."""
         self.start()
-        frames = zip(take.positions, take.state, take.time.tolist(), strict=True)
-        scores = zip(*(self.step(*frame) for frame in frames), strict=True)
-        reliability, term, geometry = map(np.array, scores)
+        reliability, geometry = (np.empty(take.state.shape) for _ in range(2))
+        term = np.empty_like(take.state)
+        for k, time in enumerate(take.time.tolist()):
+            scores = self.step(take.positions[k], take.state[k], time)
+            reliability[k], term[k], geometry[k] = scores
         return Scores(reliability, term, geometry)
 
     def _behavior(self, positions: Array) -> Array:
