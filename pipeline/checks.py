@@ -42,9 +42,7 @@ def check_take(take: Take) -> None:
     check_extent(take.positions, take.source)
     check_rate(take.time, take.source)
     if take.time[-1] <= take.time[0]:
-        raise InputError(
-            f"{take.source}: the take has one distinct time stamp; a motion needs two"
-        )
+        raise InputError(f"{take.source}: one distinct time stamp; a motion needs two")
     needed = take.state.size * _NEEDED
     if needed < _LARGE:
         return

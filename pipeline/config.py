@@ -111,9 +111,8 @@ class CleanConfig:
         method = decided.get("method", self.method)
         if self.set and method is None:
             raise InputError("--set needs the --preset or --method that it changes")
-        return parameters(
-            self.preset, method or "default", self.scoring, self.set, stages
-        )
+        method = method or "default"
+        return parameters(self.preset, method, self.scoring, self.set, stages)
 
     def _follow(self, preset: PresetName) -> None:
         """Take over the preset's settings; raise an InputError if they conflict."""
@@ -135,10 +134,8 @@ class CleanConfig:
         elif self.set:
             self.parameters  # noqa: B018 - raises for unknown names
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
-            raise InputError(
-                f"--cutoff {self.cutoff:g} Hz: expected 0 (no smoothing) or at least "
-                "0.5; 6 keeps human motion"
-            )
+            expected = "0 (no smoothing) or at least 0.5; 6 keeps human motion"
+            raise InputError(f"--cutoff {self.cutoff:g} Hz: expected {expected}")
         for name in ("scene", "tracking"):
             if getattr(self, name) != vars(CleanConfig)[name] and not self.physics:
                 raise InputError(f"--{name} needs physics; omit --no-physics")
@@ -147,8 +144,7 @@ class CleanConfig:
         if self.tilt is not None and not abs(self.tilt) < 90.0:
             raise InputError(f"--tilt {self.tilt:g}: expected -90 to 90 degrees")
         if not isinstance(self.floor, str) and not abs(self.floor) < _FARTHEST:
-            raise InputError(
-                f"--floor {self.floor:g}: expected auto, none or a height [m]"
-            )
+            expected = "auto, none or a height in meters"
+            raise InputError(f"--floor {self.floor:g}: expected {expected}")
         if self.seed < 0:
             raise InputError(f"--seed {self.seed}: expected 0 or more")

@@ -51,7 +51,7 @@ def clean_again(
     before: Unedited,
     progress: Progress,
 ) -> Draft:
-    """Return the draft of an edited take: sides swapped and joints removed already."""
+    """Return the draft of a take in which edits already changed sides and joints."""
     names = [stage.name for stage in stages]
     correct, feet = names.index("correct"), names.index("feet")
     away = _away(take, [edit for edit in edits if edit.kind in _OF_TAKE])

@@ -160,7 +160,7 @@ class EditsFile:
         return edits
 
     def write(self, edits: Iterable[Edit]) -> Path | None:
-        """Write edits, and return where another program's changes were moved to."""
+        """Write edits; return where another program's changes were moved to, if any."""
         backup, text = None, edits_text(edits)
         if self.path.exists():
             current = self.path.read_text(encoding="utf-8", errors="surrogateescape")
@@ -182,9 +182,7 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     values = {n: converted(row[n], types[n], f"{where}: {n}") for n in names}
     joints = (values["joint"],) if kind == "pin" else values.get("joints", ())
     if kind == "distrust" and not joints:
-        raise InputError(
-            f"{where}: no joints; name some, or a limb: {', '.join(LIMBS)}"
-        )
+        raise InputError(f"{where}: name joints, or a limb: {', '.join(LIMBS)}")
     position = values.get("position", ())
     if kind == "pin" and not (
         len(position) == 3 and all(abs(x) < _FARTHEST for x in position)

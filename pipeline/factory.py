@@ -45,9 +45,8 @@ def make_corrector(
     name = config.method or ("default" if by_kinect else "local-pca")
     if METHODS[name].made_of == "pairs":
         asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
-        raise InputError(
-            f"{asked} needs training: give a --model from 'kinefilter train {asked}'"
-        )
+        trained = f"a --model from 'kinefilter train {asked}'"
+        raise InputError(f"{asked} needs training: give {trained}")
     return _build(name, skeleton, config, **config.parameters.method)
 
 
@@ -119,9 +118,7 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
         corrector.know(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:
-            raise InputError(
-                f"a model of method {model.method} cannot --adapt; train one with "
-                "--method local-gp"
-            )
+            what = f"a model of method {model.method}"
+            raise InputError(f"{what} cannot --adapt; train one with --method local-gp")
         corrector.adapt = True
     return cast("Corrector", corrector)

@@ -125,10 +125,8 @@ def parameters(
         if group is None or not equals:
             known = ", ".join(dict.fromkeys(n for hints, _ in groups for n in hints))
             what = f"preset {preset}" if preset else f"method {method}"
-            raise InputError(
-                f"--set {assignment}: expected NAME=VALUE, with a parameter of {what}: "
-                f"{known}"
-            )
+            expected = f"NAME=VALUE, with a parameter of {what}: {known}"
+            raise InputError(f"--set {assignment}: expected {expected}")
         hints, values = group
         value = converted(_parsed(text), hints[name], f"--set {name}")
         if isinstance(value, int | float) and not isinstance(value, bool):

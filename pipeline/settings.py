@@ -50,9 +50,8 @@ class Settings:
                 "each, such as {name}_{sensor}.csv* for walk_left.csv"
             )
         if len(set(self.sensors)) != len(self.sensors) or len(self.sensors) == 1:
-            raise InputError(
-                f"--sensors {' '.join(self.sensors)}: expected two or more, each once"
-            )
+            names = " ".join(self.sensors)
+            raise InputError(f"--sensors {names}: expected two or more, each once")
 
     def read(self, path: Path) -> Recording:
         """Read a take with these settings; errors as for ``read_recording``."""

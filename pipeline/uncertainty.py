@@ -47,7 +47,7 @@ def log_uncertainty(
 ) -> Array:
     """Return the logarithm of the uncertainty [m] of the judged joints, (T, 2 P).
 
-    Bias and weights are by seen or hidden and PARTS; ``describe`` returns the others.
+    ``weights`` are by seen or hidden, then by PARTS; ``describe`` returns the rest.
     """
     found = np.empty(hidden.shape)
     for k, part in enumerate(PARTS):

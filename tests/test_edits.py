@@ -284,7 +284,7 @@ def test_sides_that_are_exchanged_are_put_back(
         ('[[pin]]\njoint = "Head"\ntime = -1\nposition = [0, 1, 0]', "times -1 to -1"),
         (table("exchange", joints='"Head"'), "expected begin, end"),
         (table("distrust", joints="3"), "joints = 3"),
-        ("[[distrust]]\njoints = []\nbegin = 0\nend = 1", "no joints"),
+        ("[[distrust]]\njoints = []\nbegin = 0\nend = 1", "name joints, or a limb"),
         ("[[exchange]]\nbegin = 0\nend = nan", "seconds after the first frame"),
         ("[[exchange]]\nbegin = true\nend = 2", "begin = True"),
         (table("exchange", 3.0, 2.0), "the end not before the beginning"),
