@@ -112,10 +112,8 @@ def _read(words: Sequence[str]) -> Any:
         kind = _command(name)
         summary = (kind.__doc__ or "").split("\n")[0]
         listed.append(Annotated[kind, subcommand(name, description=summary)])
-    any_command: Any = reduce(or_, listed)
-    return tyro.cli(
-        any_command, prog="kinefilter", description=_DESCRIPTION, args=words
-    )
+    union: Any = reduce(or_, listed)
+    return tyro.cli(union, prog="kinefilter", description=_DESCRIPTION, args=words)
 
 
 def _command(name: str) -> Any:

@@ -77,7 +77,7 @@ _EXPECTED = "expected tables " + ", ".join(
     for kind, names in _FIELDS.items()
 )
 _HEADER = (
-    "# Manual corrections to a take, for --edits; times in s after its first frame."
+    "# Manual corrections to a take, for --edits; times [s] after its first frame."
 )
 _FARTHEST = 1e4  # m; no sensor sees that far
 _ROUNDING = 5e-4  # s by which a time in a file may miss the frame it was taken from
@@ -184,9 +184,8 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     if kind == "distrust" and not joints:
         raise InputError(f"{where}: name joints, or a limb: {', '.join(LIMBS)}")
     position = values.get("position", ())
-    if kind == "pin" and not (
-        len(position) == 3 and all(abs(x) < _FARTHEST for x in position)
-    ):
+    near = len(position) == 3 and all(abs(x) < _FARTHEST for x in position)
+    if kind == "pin" and not near:
         place = shown(row["position"])
         raise InputError(f"{where}: position is {place}, expected three numbers [m]")
     time = values.get("time", 0.0)

@@ -50,10 +50,8 @@ class Quality:
     amplitude_kept: float = _metric("amplitude kept, share of raw")
     peak_hand_speed: float = _metric("speed of hands in the fastest 1% of frames, m/s")
     flight_error: float = _metric("acceleration in flight minus gravity, m/s²")
-    unexplained_force: float = _metric("force no floor contact explains, body weights")
-    unexplained_moment: float = _metric(
-        "moment no floor contact explains, body weights times m"
-    )
+    unexplained_force: float = _metric("force no contact explains, body weights")
+    unexplained_moment: float = _metric("moment no contact explains, body weights · m")
     moved_cm: float = _metric("mean distance from raw, cm")
 
 

@@ -277,10 +277,8 @@ class Correct(Stage):
             # The method may correct what was reconstructed, but not replace it.
             reliability = np.where(draft.hidden, 1.0, reliability)
             geometry = np.where(draft.hidden, 1.0, geometry)
-        sensor = draft.heading.origin
-        return Observation(
-            draft.standard, reliability, geometry, draft.time, body.lengths, sensor
-        )
+        context = draft.time, body.lengths, draft.heading.origin
+        return Observation(draft.standard, reliability, geometry, *context)
 
 
 class Physics(Stage):
@@ -312,9 +310,8 @@ class Physics(Stage):
             # Props stay where they are, except for the first frame.
             self.character.start(positions, rotations, anew=first)
         else:
-            draft.reset = not self.character.step(
-                positions, rotations, draft.elapsed, stands=draft.stands
-            )
+            target, stands = (positions, rotations), draft.stands
+            draft.reset = not self.character.step(*target, draft.elapsed, stands=stands)
         draft.positions = self.character.positions
         draft.rotations = self.character.rotations
         draft.external_force = self.character.external_force

@@ -25,7 +25,7 @@ HIDDEN = ("until seen", "speed at ends", "unknown posture")
 """Features of the joints the sensor saw, and of hidden ones; times and speeds are
 logarithmic."""
 _LEAST, _MOST = 0.005, 0.5  # m
-_LARGEST_STRANGENESS = 0.2  # 1 - coverage beyond which errors grow no more
+_STRANGEST = 0.2  # 1 - coverage beyond which errors grow no more
 _ENDS = 3  # frames on either side of a gap over which its speed is averaged
 
 
@@ -74,9 +74,7 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     hidden = draft.missing if draft.hidden is None else draft.missing | draft.hidden
     hidden = hidden[:, joints]
     known = np.nan_to_num(np.asarray(draft.coverage, dtype=float))[:, None]
-    strange = np.broadcast_to(
-        np.minimum(1.0 - known, _LARGEST_STRANGENESS), speed.shape
-    )
+    strange = np.broadcast_to(np.minimum(1.0 - known, _STRANGEST), speed.shape)
     seen = [np.log(speed + 0.05), 1.0 - draft.geometry[:, joints], strange]
     gone = np.full((*speed.shape, len(HIDDEN)), np.nan)
     gone[..., -1] = strange
@@ -104,9 +102,8 @@ def judged(skeleton: Skeleton) -> list[int]:
 def _nearest_judged(skeleton: Skeleton) -> list[list[int]]:
     """Return, for each joint, the judged joints whose uncertainty it gets."""
     joints = judged(skeleton)
-    shoulders, hips = (
-        [joints.index(j) for j in skeleton.sides(part)] for part in ("Shoulder", "Hip")
-    )
+    sides = map(skeleton.sides, ("Shoulder", "Hip"))
+    shoulders, hips = ([joints.index(j) for j in pair] for pair in sides)
     upper = {skeleton.girdle, *skeleton.beyond(skeleton.girdle)}
     columns = []
     for j in range(len(skeleton)):

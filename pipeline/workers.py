@@ -19,9 +19,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-_ONE_THREAD = dict.fromkeys(
-    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
 _MOST_ON_WINDOWS = 61  # processes that Windows can wait for at a time
 _GRACE = 5.0  # s to finish a file once the work was given up
 _PATIENCE = 1.5  # s until a process is ended less gently
@@ -137,9 +135,8 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self.calls, calls = context.Pipe()
         receiver, self._sender = context.Pipe(duplex=False)
-        self.process = context.Process(
-            target=_serve, args=(calls, receiver), daemon=True
-        )
+        arguments = calls, receiver
+        self.process = context.Process(target=_serve, args=arguments, daemon=True)
         with calls, receiver, _environment(_ONE_THREAD), _uninterrupted():
             self.process.start()
 
