@@ -1,6 +1,6 @@
-"""The stages that a take or a frame passes, and everything around them.
+"""The cleaning pipeline and everything around it; ``cleaner`` lists its stages.
 
-``cleaner`` has the stages in their order; ``import kinefilter`` gives what most need.
+``import kinefilter`` offers what most users need.
 """
 
 __all__: list[str] = []

@@ -1,7 +1,4 @@
-"""A character that follows a Kinect frame by frame, for games.
-
-``tests/hostile.py`` lets one follow a million frames that no sensor should give.
-"""
+"""A character that follows a Kinect frame by frame, for games."""
 
 from __future__ import annotations
 
@@ -29,31 +26,28 @@ class Pose:
     rotations: Array
     """World segment rotations, wxyz, shape (J, 4)."""
     stands: Flags
-    """Whether each foot (left, right) stands, shape (2,)."""
+    """Whether each foot (left, right) is planted, shape (2,)."""
     external_force: float
-    """Force on the body that no muscle and no floor gives [body weights]."""
+    """Force on the body beyond muscles and floor [body weights]."""
     reset: bool
-    """The character was put back onto its target; see ``PhysicsTrace.reset``."""
+    """True if the character was reset onto its target; see ``PhysicsTrace.reset``."""
     impossible: bool = False
-    """The frame has a body of a size that is not its own, or where nobody gets so fast:
-    the pose goes on without it."""
+    """True if the frame's body has an impossible size or place and was ignored."""
 
 
 class Avatar:
-    """A character in a MuJoCo scene that a person in front of a Kinect moves.
+    """A character in a MuJoCo scene, moved by a person in front of a Kinect.
 
-    Frames pass the same stages as in ``clean``, but without looking ahead: a joint in
-    steady motion trails its measurement by less than a centimeter, and the pose is that
-    of the frame that was given.
+    Frames pass the same stages as in ``clean``, but without looking ahead: the pose is
+    that of the given frame, and a joint in steady motion trails its measurement by less
+    than a centimeter.
 
-    Args:
-        body: The person; ``standard_body(KINECT_V2, height=1.8)`` will do.
-        scene: One of the scenes, or an MJCF file. The person begins at its origin,
-            facing +z (MuJoCo's +x); without one, where the sensor sees them.
-        floor: Its height in the sensor's frame [m]; by default followed under the feet.
-        tracking: How hard the character is pulled, or one of TRACKINGS by name: game
-            gives way to pushes and gets up again.
-        corrector: What corrects frames; by default as ``clean``.
+    The person's ``body`` may be ``standard_body(KINECT_V2, height=1.8)``. The person
+    starts at the origin of the ``scene``, a name or an MJCF file, facing +z (MuJoCo's
+    +x); without one, where the sensor sees them. The height of the ``floor`` in the
+    sensor's frame [m] is by default tracked under the feet. ``tracking`` has the gains
+    that pull the character, or is one of TRACKINGS by name: game yields to pushes and
+    gets up again. The ``corrector`` is by default that of ``clean``.
     """
 
     def __init__(
@@ -74,7 +68,7 @@ class Avatar:
         self.start()
 
     def start(self) -> None:
-        """Begin anew: the next frame is where the character appears."""
+        """Reset: the character appears where the next frame is."""
         self.cleaner.start(self.body)
         self.turn = Turn()
         physics = self.cleaner.stages[-1]
@@ -86,9 +80,9 @@ class Avatar:
     ) -> Pose:
         """Follow the next frame, with a time stamp [s] later than the last.
 
-        Joint positions [m] are as the sensor gives them, y up, NaN where missing, shape
-        (J, 3); states (State), shape (J,), by default tracked where there is a joint.
-        Raises an InputError for a wrong shape, or a time that does not go on.
+        Joint positions [m] (J, 3) are in the sensor's frame, y up, NaN where missing;
+        states (State) (J,) are by default tracked wherever there is a position. Raises
+        an InputError for a wrong shape or a time that does not increase.
         """
         found = self.cleaner.step(positions, time, state)
         self.turn = found.turn
@@ -96,15 +90,15 @@ class Avatar:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know: that the sensor was turned, or may have been."""
+        """Notes for the user on how the sensor is turned."""
         return self.turn.told()
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
-        """Push a part of the body for some time; see ``PulledCharacter.push``."""
+        """Push a part of the body for a time; see ``PulledCharacter.push``."""
         self.physics.push(part, force, seconds)
 
     def let_go(self) -> None:
-        """Stop pulling the character: it falls, until ``take_hold``."""
+        """Stop pulling the character, so that it falls, until ``take_hold``."""
         self.physics.limp = True
 
     def take_hold(self) -> None:

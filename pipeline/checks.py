@@ -1,4 +1,4 @@
-"""What the cleaner takes in: frames and takes, checked before anything is done."""
+"""Checks of the frames and takes that are given to the cleaner."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from kinefilter.characters.arrays import Array, Codes, as_numbers, check_kind, s
 
 from .formats.recording import check_extent, check_rate
 
-_NEEDED = 600  # bytes that a joint of a frame costs while it is cleaned, with physics
-_LARGE = 2**29  # bytes that are there without asking
-_FARTHEST = 1e8  # m: whatever the sensor means by it, squares must not overflow
+_NEEDED = 600  # bytes per joint and frame while cleaning with physics
+_LARGE = 2**29  # bytes; less is assumed to be free
+_FARTHEST = 1e8  # m; farther joints are missing, so that squares do not overflow
 
 
 def checked_frame(
     positions: ArrayLike, state: ArrayLike | None, skeleton: Skeleton
 ) -> tuple[Array, Codes]:
-    """Return positions (J, 3), NaN if missing, not tracked or too far, states (J,)."""
+    """Return positions (J, 3) and states (J,) of a frame, or raise an InputError.
+
+    Positions are NaN, and states 0, where missing, not tracked or too far away.
+    """
     what, count = f"a frame of {skeleton.name}", len(skeleton)
     seen = as_numbers(positions, what, (count, 3), ", the joints in the SDK's order")
     seen = seen.astype(float)
@@ -34,29 +37,20 @@ def checked_frame(
 
 
 def check_take(take: Take) -> None:
-    """Raise InputError for what is no take, or one that holds nothing to clean."""
+    """Raise InputError for anything but a take with something to clean."""
     check_kind(take, Take, "the take")
     check_extent(take.positions, take.source)
     check_rate(take.time, take.source)
     if take.time[-1] <= take.time[0]:
-        raise InputError(
-            f"{take.source}: the take has one distinct time stamp; "
-            "a motion needs two frames or more"
-        )
-    _check_memory(take)
-
-
-def _check_memory(take: Take) -> None:
-    """Raise InputError for a take for which the memory does not suffice."""
+        raise InputError(f"{take.source}: one distinct time stamp; a motion needs two")
     needed = take.state.size * _NEEDED
     if needed < _LARGE:
         return
-    import psutil  # only here is it needed
+    import psutil  # only needed here
 
     free = psutil.virtual_memory().available
     if needed > free:
         raise InputError(
-            f"{take.source}: cleaning {len(take)} frames needs about "
-            f"{needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free; cut "
-            "the take into parts"
+            f"{take.source}: {len(take)} frames need about {needed / 1e9:.1f} GB of "
+            f"memory, but {free / 1e9:.1f} GB are free; cut the take into parts"
         )

@@ -1,8 +1,8 @@
-"""The cleaner: the stages that a take or a frame passes, in their order.
+"""The cleaner: the list of stages that every take and every live frame passes through.
 
-Nothing else knows the order: ``clean`` runs the list over a take, ``Avatar`` and
-``live`` step it frame by frame, ``bench`` times its entries, and ``evaluate`` swaps one
-entry and measures what comes out at the end.
+This is the only place that knows their order. ``clean`` runs the list over a whole
+take; ``Avatar`` and ``live`` step through it frame by frame; ``bench`` times its
+entries; ``evaluate`` replaces one of them and measures the final result.
 """
 
 from __future__ import annotations
@@ -45,54 +45,53 @@ from .target.floor import to_world
 from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
 
-_LONGEST_STEP = 0.5  # s: a pause in the stream is no time in which to move
+_LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion
 
 
 @dataclass(frozen=True, eq=False)
 class CleanResult:
-    """A cleaned clip and what happened on the way."""
+    """A cleaned clip and a record of how it came about."""
 
     clip: Clip
-    """The motion."""
+    """The cleaned motion."""
     target: Array
-    """Joint positions [m] before physics, the clip's frame, shape (T, J, 3)."""
+    """Joint positions [m] before physics, in the clip's frame, shape (T, J, 3)."""
     stages: dict[str, Quality]
-    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``; raw is
-    the take as it was recorded, also where sides were put back."""
+    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``. Raw is
+    the take as recorded, even where swapped sides were put right."""
     coverage: Array
-    """How well the database knows the posture of each frame, in [0, 1], shape (T,);
-    NaN where the method has none."""
+    """How well the method knows each frame's posture, in [0, 1] or NaN, shape (T,)."""
     trace: PhysicsTrace | None
-    """What the simulation did, per distinct time stamp; None without physics."""
+    """What the simulation did at each distinct time stamp; None without physics."""
     failures: tuple[Failure, ...]
-    """Where the tracker failed grossly, and limbs that cleaning had to move far; frames
-    counted by distinct time stamp."""
+    """Tracker failures and limbs that moved far; frames count distinct time stamps."""
     notes: tuple[str, ...]
     """What the user should know about this take."""
     clips: tuple[Clip, ...]
-    """What is to be written: the clip, or the parts that ``gaps`` splits it into."""
+    """The clips to write: ``clip`` itself, or its parts with ``gaps="split"``."""
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What was wrong with the take, when, and what was done: a sentence each."""
-        time = self.clip.time
-        gaps = told_gaps(long_gaps(time), time[0])
-        return (*gaps, *told_failures(self.failures, time[0]))
+        """Long gaps and tracker failures, with times and remedies, a sentence each."""
+        begin = self.clip.time[0]
+        gaps = told_gaps(long_gaps(self.clip.time), begin)
+        return (*gaps, *told_failures(self.failures, begin))
 
     @property
     def share_outside(self) -> float:
-        """Share of the frames whose posture the method does not know, or NaN."""
+        """Share of frames whose coverage is below 0.5, or NaN without coverage."""
         outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
         return float(np.mean(outside))
 
 
 class Cleaner:
-    """Cleans takes whole, or a live stream frame by frame, by one list of stages.
+    """Cleans whole takes, or a live stream frame by frame, with one list of stages.
 
     Args:
-        config: What to do; by default as learned, local PCA, then physics.
-        tracking: How hard the simulated character is pulled.
-        corrector: What corrects, in place of the config's method.
+        config: Settings; the default is the shipped learned correction followed by
+            local PCA and physics.
+        tracking: Gains that pull the simulated character, instead of the config's.
+        corrector: Corrector to use instead of the config's method.
     """
 
     def __init__(
@@ -104,70 +103,64 @@ class Cleaner:
     ) -> None:
         config = CleanConfig() if config is None else config
         check_kind(config, CleanConfig, "the config")
-        for given, kind in ((tracking, Tracking), (corrector, Corrector)):
-            check_kind(given, kind | None, f"the {kind.__name__.lower()}")
+        check_kind(tracking, Tracking | None, "the tracking")
+        check_kind(corrector, Corrector | None, "the corrector")
         if tracking is None:
-            named = TRACKINGS[config.tracking]
-            tracking = replace(named, **config.parameters.tracking)
-        self.stages: tuple[Stage, ...] = (
-            Upright(config),  # where the sensor was upside down, or tilted far
-            Failures(),  # gross failures: sides put back, impossible limbs distrusted
-            MeasureBody(config),  # how long the person's segments are
-            Score(config),  # reliability of every joint
-            Reconstruct(config),  # hidden limbs, from how they went and moved before
-            Standardize(),  # to the standard body, root at the origin, facing +z
-            Correct(config, corrector),  # what the sensor misplaces, as learned
-            MeasureCorrectedBody(config),  # segments again, as corrected
-            Level(config),  # standing feet, and from them the sensor's tilt
-            Smooth(config),  # the slower a joint, the more
-            Floor(config),  # at y = 0, under the standing feet
-            Feet(config),  # stay where they stand, are lifted where they step
-            Bones(),  # joints back on the person's own segments
-            Orient(),  # a rotation for every segment
-            Physics(config, tracking),  # a simulated character pulled through it all
+            tracking = replace(TRACKINGS[config.tracking], **config.parameters.tracking)
+        stages: tuple[Stage, ...] = (
+            Upright(config),  # turn the frame of a strongly tilted or inverted sensor
+            Failures(),  # swap sides back, drop impossible bodies, mark bad limbs
+            MeasureBody(config),  # measure the person's segment lengths
+            Score(config),  # rate the reliability of every joint
+            Reconstruct(config),  # fill hidden limbs from their motion before and after
+            Standardize(),  # map to the standard body, root at the origin, facing +z
+            Correct(config, corrector),  # correct unreliable joints, map back
+            MeasureCorrectedBody(config),  # measure the segments again, as corrected
+            Level(config),  # find the stances, and level the floor under them
+            Smooth(config),  # smooth the joints, slow ones most
+            Floor(config),  # put the floor at y = 0, under the planted feet
+            Feet(config),  # hold planted feet in place, lift stepping ones
+            Bones(),  # restore the person's own segment lengths
+            Orient(),  # compute a rotation for every segment
+            Physics(config, tracking),  # pull a simulated character through the motion
         )
-        left_out = {"physics": config.physics, "reconstruct": config.reconstruct}
-        left_out["failures"] = config.preset is None  # no paper mends what it was given
-        self.stages = tuple(s for s in self.stages if left_out.get(s.name, True))
+        enabled = {"physics": config.physics, "reconstruct": config.reconstruct}
+        enabled["failures"] = config.preset is None  # no paper repairs its input
+        self.stages = tuple(s for s in stages if enabled.get(s.name, True))
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()
         self._time: float | None = None
         self._body: Body | None = None
 
     def replaced(self, *stages: Stage) -> Cleaner:
-        """Return a cleaner with other stages in the place of those of their names.
-
-        Raises an InputError if there is no stage of that name.
-        """
+        """Return a copy with stages replaced by name; raises InputError if unknown."""
         for stage in stages:
             check_kind(stage, Stage, "a stage")
-        others = {stage.name: stage for stage in stages}
-        self._check_names(*others)
-        return self._with([others.get(s.name, s) for s in self.stages])
+        return self._changed((stage.name, stage) for stage in stages)
 
     def without(self, *names: str) -> Cleaner:
-        """Return a cleaner that leaves some stages out; errors as ``replaced``."""
-        self._check_names(*names)
-        return self._with([s for s in self.stages if s.name not in names])
+        """Return a copy without the named stages; errors as for ``replaced``."""
+        return self._changed((name, None) for name in names)
 
     def until(self, name: str) -> Cleaner:
-        """Return a cleaner that ends with a stage; errors as ``replaced``."""
-        self._check_names(name)
+        """Return a copy that ends with the named stage; errors as for ``replaced``."""
         names = [stage.name for stage in self.stages]
-        return self._with(self.stages[: names.index(name) + 1])
+        check_word(name, names, "stage")
+        return self.without(*names[names.index(name) + 1 :])
 
-    def _check_names(self, *names: str) -> None:
-        known = [stage.name for stage in self.stages]
-        for name in names:
-            check_word(name, known, "stage")
-
-    def _with(self, stages: Sequence[Stage]) -> Cleaner:
+    def _changed(self, changes: Iterable[tuple[str, Stage | None]]) -> Cleaner:
+        """Return a copy with stages replaced by name, or left out where None."""
+        stages: dict[str, Stage | None] = {stage.name: stage for stage in self.stages}
+        for name, stage in changes:
+            check_word(name, stages, "stage")
+            stages[name] = stage
         other = copy(self)
-        other.stages, other._time, other._body = tuple(stages), None, None
+        other.stages = tuple(stage for stage in stages.values() if stage is not None)
+        other._time, other._body = None, None
         return other
 
     def start(self, body: Body) -> None:
-        """Forget all frames: those of a body come next, one by one."""
+        """Reset the state for a new motion of a body, to be passed to ``step``."""
         check_kind(body, Body, "the body")
         self._body, self._time = body, None
         for stage in self.stages:
@@ -178,32 +171,26 @@ class Cleaner:
     ) -> Draft:
         """Pass the next frame through the stages, without looking ahead.
 
-        Args:
-            positions: Joint positions [m], sensor frame with y up, NaN where missing,
-                shape (J, 3).
-            time: Time stamp [s], later than the last.
-            state: Tracking states (State), shape (J,); by default tracked where there
-                is a joint.
+        Joint positions [m] (J, 3) are in the sensor frame with y up, NaN where missing;
+        the tracking states (State) (J,) are by default tracked wherever there is a
+        position. The time stamp [s] is later than that of the previous frame.
 
-        Returns:
-            What the stages found; ``positions`` and ``rotations`` are the character's.
-
-        Raises:
-            InputError: The frame has another shape, no numbers, or a time that does not
-                go on; or nothing was started.
+        Returns the working state after all stages, with the simulated character's
+        ``positions`` and ``rotations``. Raises an InputError for a wrong shape or time,
+        positions that are not numbers, or if ``start`` was not called.
         """
         if self._body is None:
-            raise InputError("no body to step; call start() with one")
+            raise InputError("step() has no body; call start(body) first")
         skeleton, time = self._body.skeleton, as_number(time, "the time of a frame")
-        seen, states = checked_frame(positions, state, skeleton)
+        measured, states = checked_frame(positions, state, skeleton)
         if not abs(time) < LATEST:
-            raise InputError(f"a frame at {time:g} s; give its stamp in seconds")
+            raise InputError(f"a frame at {time:g} s; give its time stamp in seconds")
         if self._time is not None and time <= self._time:
             raise InputError(
-                f"time {time:g} s comes after {self._time} s; give each frame the "
-                "sensor's own stamp, in seconds, or call start()"
+                f"a frame at {time:g} s comes after one at {self._time:g} s; give "
+                "increasing time stamps in seconds, or call start() first"
             )
-        draft = Draft(skeleton, time, seen, states)
+        draft = Draft(skeleton, time, measured, states)
         draft.body = self._body
         if self._time is not None:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
@@ -223,19 +210,19 @@ class Cleaner:
         return draft
 
     def unedited(self, take: Take, progress: Progress = silent) -> Unedited:
-        """Clean a take without edits; ``clean`` can then do some of it again."""
-        return unedited(self.stages, self._frames(take)[0], progress)
+        """Clean a take without edits, as the ``before`` of later ``clean`` calls."""
+        return unedited(self.stages, self._distinct(take)[0], progress)
 
-    def _frames(self, take: Take) -> tuple[Take, Any]:
-        """Return a take's frames of distinct time stamps, and which each frame shows.
+    def _distinct(self, take: Take) -> tuple[Take, Any]:
+        """Return the frames with distinct time stamps, and an index that restores all.
 
-        Raises an InputError if it holds nothing to clean, or a gap that is not to be.
+        Raises an InputError if there is nothing to clean, or a long gap to refuse.
         """
         check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
             raise InputError(
                 f"{take.source}: {told_gaps(gaps, take.time[0])[0]}; clean it with "
-                "--gaps hold or split, or cut it there"
+                "--gaps hold or split, or cut the take there"
             )
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
         if distinct.all():
@@ -250,50 +237,43 @@ class Cleaner:
         before: Unedited | None = None,
         progress: Progress = silent,
     ) -> CleanResult:
-        """Clean a take.
+        """Clean a take, with manual corrections: by default the config's edits.
 
-        Args:
-            take: The take.
-            edits: What somebody says of it; by default what the config's file says.
-            before: The take without edits; by default it is cleaned for them.
-            progress: Wraps the frame loops, for a progress bar.
-
-        Raises an InputError if the take holds nothing to clean, or a long gap that is
-        not to be, or the database does not fit, or
-        the edits do not.
+        With ``before``, a result of ``unedited``, only edited parts are cleaned again.
+        ``progress`` wraps the frame loops. Raises an InputError if there is nothing to
+        clean or a long gap to refuse, or the database or the edits do not fit the take.
         """
         edits = self._edits if edits is None else tuple(edits)
-        recorded, frames = self._frames(take)
+        recorded, frames = self._distinct(take)
         if edits:
-            told = edited(recorded, edits)  # refused before any work is done
+            corrected = edited(recorded, edits)  # bad edits fail before any work
             before = before or self.unedited(take, progress)
-            draft = clean_again(self.stages, told, edits, before, progress)
+            draft = clean_again(self.stages, corrected, edits, before, progress)
         else:
             draft = before.done if before else self.whole(recorded, progress)
-        mended = to_world(draft.measured, draft.tilt, draft.floor)
-        moved_by_correction = distances(draft.posed, mended)
-        late = find_displaced(
-            draft.time, mended, draft.posed, draft.heading.yaw, take.skeleton
+        # From here on: clip, quality, failures and notes of what the stages made.
+        measured = to_world(draft.measured, draft.tilt, draft.floor)
+        moved_by_correction = distances(draft.posed, measured)
+        displaced = find_displaced(
+            draft.time, measured, draft.posed, draft.heading.yaw, take.skeleton
         )
-        failures = sorted((*draft.failures, *late), key=lambda found: found.first)
-        del mended
-        turn, tilt = draft.turn, draft.turn.tilt + draft.tilt
-        raw = to_world(recorded.positions, tilt, draft.floor, turn.roll)
+        del measured
+        tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll
+        raw = to_world(recorded.positions, tilt, draft.floor, roll)
         motions = {"raw": raw, "corrected": draft.posed}
-        force = np.full(len(recorded), np.nan)
-        after = draft.posed
+        final, force = draft.posed, np.full(len(raw), np.nan)
         if draft.trace is not None:
-            motions["physics"] = after = draft.positions
+            motions["physics"] = final = draft.positions
             force = draft.trace.external_force
         stages = {
             name: measure(draft.time, positions, raw, draft.body, draft.stands)
             for name, positions in motions.items()
         }
         split = self._gaps == "split"
-        becomes = "the next clip begins" if split else "the character holds still"
+        then = ": the next clip begins" if split else ": the character holds still"
         clip = Clip(
             time=take.time,
-            root=after[frames, take.skeleton.root],
+            root=final[frames, take.skeleton.root],
             rotations=draft.rotations[frames],
             body=draft.body,
             state=take.state,
@@ -301,7 +281,7 @@ class Cleaner:
             deciding_term=draft.deciding_term[frames],
             origin=draft.origin[frames],
             moved_by_correction=moved_by_correction[frames],
-            moved_by_physics=distances(after, draft.posed)[frames],
+            moved_by_physics=distances(final, draft.posed)[frames],
             uncertainty=uncertainty(draft)[frames],
             contacts=draft.contacts[frames],
             external_force=force[frames],
@@ -309,7 +289,7 @@ class Cleaner:
             source=take.source,
             tilt=tilt,
             floor=draft.floor,
-            roll=turn.roll,
+            roll=roll,
         )
         return CleanResult(
             clip,
@@ -317,10 +297,10 @@ class Cleaner:
             stages,
             draft.coverage[frames],
             draft.trace,
-            tuple(failures),
+            tuple(sorted((*draft.failures, *displaced), key=lambda f: f.first)),
             (
                 *map(str, edits),
-                *told_gaps(long_gaps(take.time), take.time[0], f": {becomes}"),
+                *told_gaps(long_gaps(take.time), take.time[0], then),
                 *_notes(draft),
             ),
             tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
@@ -330,7 +310,7 @@ class Cleaner:
 def clean(
     take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
 ) -> CleanResult:
-    """Clean a take as ``Cleaner.clean``, which does many and makes its methods once."""
+    """Clean one take; a ``Cleaner`` loads its methods once for many takes."""
     return Cleaner(config).clean(take, progress=progress)
 
 
@@ -343,6 +323,6 @@ def _notes(draft: Draft) -> Iterable[str]:
         )
     yield from draft.turn.told(draft.tilt)
     if draft.turn.roll:
-        yield "--tilt 0 leaves the frames of the sensor as they are"
+        yield "--tilt 0 leaves the sensor's frame as it is"
     if draft.trace is not None and draft.trace.reset.any():
         yield f"physics: {draft.trace.status}"

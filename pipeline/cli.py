@@ -1,4 +1,4 @@
-"""The command line: finds the command and turns errors into exit codes."""
+"""The command line: finds the command, and turns errors into exit codes."""
 
 from __future__ import annotations
 
@@ -40,32 +40,32 @@ _FILES = {
     "lab.commands.simulate": "simulate",
     "lab.commands.rating": "rate, ratings",
 }
-"""Files in ``pipeline``, with the commands in each."""
+"""Modules in ``pipeline``, with the commands in each."""
 COMMANDS = ", ".join(_GROUPS.values()).split(", ")
-"""Names of the commands, group by group."""
+"""Names of the commands, by group."""
 
 _DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
 
 {chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
 
-'kinefilter COMMAND --help' says more about a command; its group may stand before it, as
-in 'kinefilter lab rate'.
+'kinefilter COMMAND --help' describes a command. Its group may come before it, as in
+'kinefilter lab rate'.
 
-Exit codes: 0 done, also if Ctrl-C or SIGTERM ended live, replay, play or view; 1 done,
-but some takes or clips were left out, the recording of live ended early, a metric is
-beyond --fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2
-the input or the command was wrong, or a file could not be written; 130 interrupted: the
-same batch, render or reproduce --all command goes on where it ended. Files are written
-whole or not at all."""
+Exit codes: 0, done, also when Ctrl-C or SIGTERM ended live, replay, play or view; 1,
+done, but some takes or clips were left out, the recording of live ended early, a metric
+exceeds --fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2,
+the input or the command was wrong, or a file could not be written; 130, interrupted:
+the same batch, render or reproduce --all command resumes where it ended. Files are
+written whole or not at all."""
 
-_INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
-_UNREAD = 141  # and of one whose output nobody reads any more
+_INTERRUPTED = 130  # as shells report a program ended by Ctrl-C
+_UNREAD = 141  # and one whose output is no longer read
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code, see ``kinefilter --help``."""
+    """Run the command line and return its exit code; see ``kinefilter --help``."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    for stream in (sys.stdout, sys.stderr):  # whatever the terminal cannot show
+    for stream in (sys.stdout, sys.stderr):  # for characters the terminal cannot show
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -76,20 +76,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError:
         err.print("kinefilter: not enough memory; cut long takes into parts")
         return 2
-    except KeyboardInterrupt as ended:  # its words are what the user should know
+    except KeyboardInterrupt as ended:  # its arguments are notes for the user
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
     except OSError as error:
         windows = sys.platform == "win32" and error.errno == errno.EINVAL
         if not (windows or isinstance(error, BrokenPipeError)):
             raise
-        # Whoever reads has seen enough; nor may the flush at the end fail.
+        # The reader has closed the pipe; the final flush must not fail either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _UNREAD
 
 
 def _run(words: Sequence[str]) -> int:
-    if words and words[0] not in COMMANDS:  # 'lab rate' is 'rate'
+    if words and words[0] not in COMMANDS:  # 'lab rate' means 'rate'
         group = _GROUPS.get(words[0], "").split(", ")
         words = words[1:] if words[1:2] and words[1] in group else words
     try:
@@ -103,19 +103,17 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _read(words: Sequence[str]) -> Any:
-    """Return the command that a command line asks for, with its options."""
+    """Return the command with its options."""
     if words and words[0] in COMMANDS:
         prog = f"kinefilter {words[0]}"
         return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
     listed = []
     for name in COMMANDS:
         kind = _command(name)
-        first = (kind.__doc__ or "").split("\n")[0]  # its own --help has the rest
-        listed.append(Annotated[kind, subcommand(name, description=first)])
-    any_command: Any = reduce(or_, listed)
-    return tyro.cli(
-        any_command, prog="kinefilter", description=_DESCRIPTION, args=words
-    )
+        summary = (kind.__doc__ or "").split("\n")[0]
+        listed.append(Annotated[kind, subcommand(name, description=summary)])
+    union: Any = reduce(or_, listed)
+    return tyro.cli(union, prog="kinefilter", description=_DESCRIPTION, args=words)
 
 
 def _command(name: str) -> Any:
@@ -125,10 +123,7 @@ def _command(name: str) -> Any:
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:
-    """Return the fields of the options that a command line names (tyro: in full).
-
-    No file may change them.
-    """
+    """Return the fields of the given options, which files must not change."""
     names = set()
     for word in words:
         if word == "--":

@@ -1,6 +1,6 @@
-"""Settings in TOML files: the names are those of the command line's flags.
+"""Settings from TOML files, named like the options of the command line.
 
-A file holds what ``clean`` has flags for, such as ``method = "local-pca"``,
+A file holds what ``clean`` has options for, such as ``method = "local-pca"``,
 ``cutoff = 4.0`` or ``rotation-order = "xyz"``. Paths in it are relative to its folder.
 """
 
@@ -21,76 +21,72 @@ from .formats.files import LARGEST_TOML, parse_toml, read_limited
 from .settings import Settings, names_file
 
 FOLDER_FILE = "kinefilter.toml"
-"""Name of the file with the settings for the takes of its folder."""
-
-_Part = CleanConfig | Export
-_PARTS: dict[str, type[_Part]] = {"config": CleanConfig, "export": Export}
+"""Name of a file of settings for the takes in its folder."""
+_PARTS: dict[str, type[Any]] = {"config": CleanConfig, "export": Export}
 _OWN = {k: hint for k, hint in type_hints(Settings).items() if k not in _PARTS}
 _HINTS = type_hints(CleanConfig) | type_hints(Export) | _OWN
-_HINTS.pop("blender")  # no file that lies beside takes may say what program is run
+_HINTS.pop("blender")  # a file beside takes must not choose a program to run
 
 
 class SettingsFile(NamedTuple):
-    """A file's path or URL, and its values of the fields of the settings."""
+    """The path or URL of a file, and its values for fields of the settings."""
 
     name: str
     values: Mapping[str, Any]
 
 
 def read_settings(path: str | os.PathLike[str]) -> SettingsFile:
-    """Read a file of settings; raises as ``parse_settings``, and if there is none."""
+    """Read a file of settings; raises InputError if it is missing or invalid."""
     text = read_limited(path, LARGEST_TOML)
     return parse_settings(text, os.fspath(path), Path(path).parent)
 
 
 def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
-    """Return the settings in the TOML of a file, or raise an InputError.
+    """Return the settings in TOML text; raises InputError if it is invalid.
 
-    Paths in it are relative to the folder; without one, they have to be absolute.
+    Paths in it are relative to the folder; without one, they must be absolute.
     """
-    values = {}
-    table = parse_toml(text, name, "write lines such as cutoff = 4.0")
-    for key, value in table.items():
+    values, expected = {}, "write lines such as cutoff = 4.0"
+    for key, value in parse_toml(text, name, expected).items():
         field = key.replace("-", "_")
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
             raise InputError(f"{name}: unknown key {key!r}; known: {known}")
         where = f"{name}: {key}"
-        values[field] = _placed(converted(value, _HINTS[field], where), where, folder)
+        values[field] = _absolute(converted(value, _HINTS[field], where), where, folder)
     return SettingsFile(name, values)
 
 
 def overlaid(
     settings: Settings, files: Sequence[SettingsFile], given: Collection[str]
 ) -> Settings:
-    """Return settings with the values of files, of which later ones override earlier.
+    """Return settings changed by files, later ones overriding earlier ones.
 
-    No file may change the fields ``given`` by the user. Raises an InputError if a file
-    sets an impossible value.
+    The fields ``given`` by the user stay. Raises InputError for an impossible value.
     """
     for file in files:
         values = {k: v for k, v in file.values.items() if k not in given}
         own = {name: value for name, value in values.items() if name in _OWN}
         try:
             for part, kind in _PARTS.items():
-                named = {f.name for f in fields(kind)} & values.keys()
-                changed = {name: values[name] for name in named}
-                own[part] = replace(getattr(settings, part), **changed)
+                names = {f.name for f in fields(kind)} & values.keys()
+                changes = {name: values[name] for name in names}
+                own[part] = replace(getattr(settings, part), **changes)
             settings = replace(settings, **own)
         except InputError as error:
             raise InputError(f"{file.name}: {error}") from None
     return settings
 
 
-def _placed(value: Any, where: str, folder: Path | None) -> Any:
-    """Return a value with the absolute path of each file that it names."""
+def _absolute(value: Any, where: str, folder: Path | None) -> Any:
+    """Return a value with its paths made absolute."""
     if isinstance(value, tuple):
-        return tuple(_placed(one, where, folder) for one in value)
+        return tuple(_absolute(one, where, folder) for one in value)
     if not names_file(value):
         return value
     if folder is None and not Path(value).is_absolute():
         raise InputError(
-            f"{where} = {str(value)!r}: expected an absolute path, since this file is "
-            "in a store, and every worker must find the path on its disk"
+            f"{where} = {str(value)!r}: expected an absolute path, valid on every "
+            "worker, as this file is in a store"
         )
     return type(value)(Path(folder or "", value).absolute())

@@ -1,4 +1,4 @@
-"""What is in a file that kinefilter can read, before anything is done with it."""
+"""The contents of files that kinefilter can read, for ``kinefilter info``."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
+from .edits import LIMBS
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import check_file
@@ -42,37 +43,34 @@ from .formats.sheets import claims_contacts, contact_table
 from .models import load_model
 from .pairs import read_pairs
 
-_GAP = 1.5  # usual time steps; longer ones hold frames that never arrived
-_ARM = ("Shoulder", "Elbow", "Wrist", "Hand", "HandTip", "Thumb")
-_LEG = ("Hip", "Knee", "Ankle", "Foot")
+_GAP = 1.5  # nominal steps; longer ones contain frames that never arrived
 _PARTS = {
-    f"{side.lower()} {limb}": tuple(joint + side for joint in joints)
-    for limb, joints in (("arm", _ARM), ("leg", _LEG))
+    f"{side.lower()} {limb}": (top + side, *LIMBS[f"{side.lower()}-{limb}"])
+    for limb, top in (("arm", "Shoulder"), ("leg", "Hip"))
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
-_STILL = 1e-5  # m over the floor: nobody stands so still
-_LISTED = 30  # names of joints on a terminal
-_SHOWN_APART = (
-    *("file", "kind", "format", "bodies", "notes", "body", "most_seen"),
-    *("states", "gaps", "failures"),
-)
+_IN_PLACE = 1e-5  # m over the floor: no one stands so still
+_LISTED = 30  # joint names listed on a terminal
+_SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}
+_SHOWN_APART |= {"states", "gaps", "failures"}
 
 
 def contents_of(
     path: str | os.PathLike[str],
     *,
-    format: str | None = None,  # noqa: A002 - the word that users know
+    format: str | None = None,  # noqa: A002 - the word users know
 ) -> dict[str, Any]:
-    """Return what a file holds, ready for ``json.dump``, or raise InputError.
+    """Return the contents of a file, ready for ``json.dump``.
 
-    Always ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
-    ``bodies``. ``format`` is one of ``read_take``'s.
+    Always has ``file``, ``kind`` and ``format``; for takes ``unit``, ``notes`` and
+    ``bodies``. ``format`` is as for ``read_take``. Raises an InputError if unreadable.
     """
     file, name = check_file(path), os.fspath(path)
     with file.open("rb") as opened:
         start = opened.read(8)
     packed = start.startswith(b"PK")
+    unzipped = file.name.lower().removesuffix(".gz")
     if format is not None:
         contents = _of_recording(read_recording(path, format=format))
     elif start.startswith(_USD) or (packed and file.suffix.lower() == ".usdz"):
@@ -82,12 +80,12 @@ def contents_of(
         contents = _of_glb(path)
     elif packed:
         contents = _of_npz(name)
-    elif file.name.lower().removesuffix(".gz").endswith((".c3d", ".trc")):
+    elif unzipped.endswith((".c3d", ".trc")):
         try:
             contents = _of_recording(read_recording(path))
-        except InputError:  # bare markers, which are no take
+        except InputError:  # markers that are not a take
             contents = _of_mocap(read_mocap(file))
-    elif file.name.lower().removesuffix(".gz").endswith(".amc"):
+    elif unzipped.endswith(".amc"):
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
@@ -100,15 +98,13 @@ def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
     people, times = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
-    known: dict[str, Any] = {"kind": "clip", "format": "glb"}
-    if len(people) > 1:
-        known["people"] = len(people)
-    return known | {"joints": len(people[0])} | _timing(times)
+    many = {"people": len(people)} if len(people) > 1 else {}
+    known = {"kind": "clip", "format": "glb", **many, "joints": len(people[0])}
+    return known | _timing(times)
 
 
 def _of_npz(name: str) -> dict[str, Any]:
-    arrays = array_names(name)
-    contents: dict[str, Any]
+    arrays, contents = array_names(name), dict[str, Any]()
     if "moved_by_physics" in arrays:
         contents = _of_clip(read_npz(name))
     elif "mocap" in arrays:
@@ -122,12 +118,8 @@ def _of_npz(name: str) -> dict[str, Any]:
         }
     elif "trained_on" in arrays:
         model = load_model(Path(name))
-        contents = {
-            "kind": "model",
-            "skeleton": model.skeleton.name,
-            "method": model.method,
-            "learned_from": model.source,
-        }
+        contents = {"kind": "model", "skeleton": model.skeleton.name}
+        contents |= {"method": model.method, "learned_from": model.source}
     elif "labels" in arrays:
         base = PostureDatabase.load(Path(name))
         contents = {
@@ -148,7 +140,7 @@ def _of_npz(name: str) -> dict[str, Any]:
 def _of_clip(clip: Clip) -> dict[str, Any]:
     standing = clip.contacts.mean(axis=0).tolist()
     force = clip.external_force[np.isfinite(clip.external_force)]
-    way = float(np.ptp(clip.root[:, [0, 2]], axis=0).max())
+    travel = float(np.ptp(clip.root[:, [0, 2]], axis=0).max())
     return {
         "kind": "clip",
         "unit": "m",
@@ -160,7 +152,7 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
         "mass_kg": clip.body.mass,
         "reliability": float(clip.reliability.mean()),
         "origin": origin_shares(clip),
-        "in_place": way < _STILL,  # so feet that stand slide
+        "in_place": travel < _IN_PLACE,  # then planted feet slide
         "standing": dict(zip(CONTACTS, standing, strict=True)),
         "external_force_body_weights": float(force.mean()) if len(force) else None,
         "states": _states(clip),
@@ -168,7 +160,7 @@ def _of_clip(clip: Clip) -> dict[str, Any]:
 
 
 def origin_shares(clip: Clip) -> dict[str, float]:
-    """Return the share of joints, in all frames, that have each origin, by its name."""
+    """Return the share of joints in all frames by the name of their origin."""
     return {o.name.lower(): float(np.mean(clip.origin == o)) for o in Origin}
 
 
@@ -215,45 +207,45 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
 
 
 def contents_of_take(take: Take) -> dict[str, Any]:
-    """Return what is in a take: time, states of parts of the body, failures."""
-    lacks = take.state == State.NOT_TRACKED
-    moving = np.concatenate([[True], np.diff(take.time) > 0])
+    """Return the contents of a take: time, states of parts of the body, failures."""
+    missing = take.state == State.NOT_TRACKED
+    distinct = np.concatenate([[True], np.diff(take.time) > 0])
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
         **_timing(take.time),
-        "frames_without_anyone": int(np.sum(lacks.all(axis=1))),
-        "joints_never_seen": np.array(take.skeleton.joints)[lacks.all(axis=0)].tolist(),
+        "frames_without_anyone": int(np.sum(missing.all(axis=1))),
+        "joints_never_seen": np.array(take.skeleton.joints)[missing.all(0)].tolist(),
         "states": _states(take),
-        "failures": failures_as_json(find_failures(take.at(moving))),
+        "failures": failures_as_json(find_failures(take.at(distinct))),
     }
 
 
 def failures_as_json(failures: Iterable[Failure]) -> list[dict[str, Any]]:
-    """Return what failed and when [s], ready for ``json.dump``."""
-    rows = [
-        (f.kind.name.lower(), f.part, f.start, f.end, f.kind.done) for f in failures
+    """Return failures and their times [s], ready for ``json.dump``."""
+    return [
+        {"kind": f.kind.name.lower(), "part": f.part}
+        | {"start_s": f.start, "end_s": f.end, "done": f.kind.done}
+        for f in failures
     ]
-    names = ("kind", "part", "start_s", "end_s", "done")
-    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def gaps_as_json(time: Array) -> list[dict[str, float]]:
-    """Return between which time stamps [s] long gaps are, ready for ``json.dump``."""
+    """Return the time stamps [s] around long gaps, ready for ``json.dump``."""
     return [{"start_s": start, "end_s": end} for start, end in long_gaps(time)]
 
 
 def _timing(time: Array) -> dict[str, Any]:
     steps = np.diff(time)
-    usual = nominal_step(time)  # NaN without two frames: then there are no gaps
-    gaps = steps[steps > _GAP * usual]
+    nominal = nominal_step(time)  # NaN without two frames, which then have no gaps
+    gaps = steps[steps > _GAP * nominal]
     return {
         "frames": len(time),
         "start_s": float(time[0]) if len(time) else 0.0,
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
-        "fps": 1.0 / usual if usual > 0.0 else None,
+        "fps": 1.0 / nominal if nominal > 0.0 else None,
         "repeated_frames": int(np.sum(steps == 0)),
-        "dropped_frames": int(np.sum(np.round(gaps / usual) - 1)),
+        "dropped_frames": int(np.sum(np.round(gaps / nominal) - 1)),
         "longest_gap_s": float(gaps.max(initial=0.0)),
         "gaps": gaps_as_json(time),
     }
@@ -272,7 +264,7 @@ def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
 
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:
-    """Return the contents of a file (``contents_of``) as lines and tables."""
+    """Return the result of ``contents_of`` as lines and tables."""
     title = f"{contents['file']}: {contents['kind']}, {contents['format']}"
     lines = [title, *_facts(contents)]
     bodies = contents.get("bodies", [])
@@ -285,12 +277,12 @@ def as_tables(contents: dict[str, Any]) -> RenderableType:
 
 def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     lines: list[RenderableType] = [
-        f"  {key.replace('_', ' ')}: {_told(value)}"
+        f"  {key.replace('_', ' ')}: {_text(value)}"
         for key, value in facts.items()
         if key not in _SHOWN_APART
     ]
     gaps = [(gap["start_s"], gap["end_s"]) for gap in facts.get("gaps", ())]
-    lines += [f"  {told}" for told in told_gaps(gaps, facts.get("start_s", 0.0))]
+    lines += [f"  {gap}" for gap in told_gaps(gaps, facts.get("start_s", 0.0))]
     if "states" in facts:
         names = [state.name.lower().replace("_", " ") for state in State]
         table = Table("part", *names, title="tracking states", title_justify="left")
@@ -306,11 +298,11 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
     return lines
 
 
-def _told(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_told(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
         more = f", ... ({len(value)})" if len(value) > _LISTED else ""
         return ", ".join(map(str, value[:_LISTED])) + more or "none"

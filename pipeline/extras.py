@@ -1,4 +1,4 @@
-"""Packages that only some commands need."""
+"""Optional packages that only some commands need."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from kinefilter.characters import InputError
 
 
 def require(module: str, purpose: str, extra: str) -> None:
-    """Raise an InputError if a module is not installed; do not load it.
-
-    The message says what needs it, and which extra of kinefilter brings it.
-    """
+    """Raise an InputError if a module, part of an extra, is not installed."""
     if importlib.util.find_spec(module) is None:
         raise InputError(
             f"{purpose} needs {module}, which is not installed: "

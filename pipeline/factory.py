@@ -1,9 +1,9 @@
-"""Correction methods, made as a config asks for them."""
+"""Builds the correction method that a config asks for."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from kinefilter.characters import InputError, Skeleton
 
@@ -13,57 +13,62 @@ from .database import PostureDatabase, builtin_database
 from .methods import METHODS
 from .models import Model, load_model
 
-_MODEL_RELIABILITY = 0.5
-"""Least reliability of what a model made of a measured joint: it then counts a fifth.
-In simulated takes 0.5 to 0.75 do about as well."""
+_MINIMUM = 0.5
+"""Minimum reliability of a measured joint after a model corrected it, which makes it
+count a fifth. On simulated takes 0.5 to 0.75 do about equally well."""
 
 
 def make_corrector(
     skeleton: Skeleton, config: CleanConfig, *, by_kinect: bool = True
 ) -> Corrector:
-    """Return the correction method that a config names, for a skeleton.
+    """Return the correction method of a config for a skeleton.
 
-    The default takes off what a Kinect's tracker errs by; where another tracker put
-    the joints, it is local PCA alone.
+    The default removes the typical errors of a Kinect's tracker, and then applies local
+    PCA; for joints from other trackers (not ``by_kinect``) it is local PCA alone.
 
-    Raises an InputError if the database or model is of another skeleton, or missing.
+    Raises an InputError if the database or model is missing or for another skeleton.
     """
     if config.model is not None:
-        return _from_model(skeleton, config, load_model(config.model))
+        model = load_model(config.model)
+        try:
+            learned = _adapted(skeleton, config, model)
+        except InputError as error:
+            raise InputError(f"{config.model}: {error}") from None
+        if config.method != "local-pca":
+            return learned
+        methods, least = (learned, _build("local-pca", skeleton, config)), _MINIMUM
+        return InTurn(*methods, skeleton=skeleton, least_reliability=least)
     if config.adapt:
-        raise InputError("--adapt needs --model with a model of method local-gp")
+        raise InputError("--adapt needs a --model of method local-gp")
     if config.person is not None:
-        raise InputError("--person needs --model, of 'kinefilter train --people'")
+        raise InputError("--person needs a --model from 'kinefilter train --people'")
     name = config.method or ("default" if by_kinect else "local-pca")
     if METHODS[name].made_of == "pairs":
         asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
-        raise InputError(
-            f"{asked} learns: give --model with a file of 'kinefilter train {asked}'"
-        )
-    return _named(name, skeleton, config, **config.parameters.method)
+        trained = f"a --model from 'kinefilter train {asked}'"
+        raise InputError(f"{asked} needs training: give {trained}")
+    return _build(name, skeleton, config, **config.parameters.method)
 
 
-def _named(
+def _build(
     name: str, skeleton: Skeleton, config: CleanConfig, **constants: Any
 ) -> Corrector:
     method = METHODS[name]
-    of = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
+    base = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
     options = {option: getattr(config, option) for option in method.options}
-    made: Corrector = method.load()(of, **(options | constants))
-    return made
+    corrector: Corrector = method.load()(base, **(options | constants))
+    return corrector
 
 
 def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
-    """Return the shipped learned corrector, then local PCA (``options``)."""
-    return InTurn(
-        shipped_model(database.skeleton),
-        LocalPCA(database, **options),
-        skeleton=database.skeleton,
-    )
+    """Return the shipped learned corrector followed by local PCA with ``options``."""
+    skeleton = database.skeleton
+    methods = shipped_model(skeleton), LocalPCA(database, **options)
+    return InTurn(*methods, skeleton=skeleton)
 
 
 def shipped_model(skeleton: Skeleton) -> Corrector:
-    """Return the corrector that ships, as ``lab.teach`` makes it, for a skeleton."""
+    """Return the shipped corrector (from ``lab.teach``) for a skeleton."""
     path = Path(__file__).with_name("embedded") / "learned.npz"
     learned = load_model(path).corrector
     return learned.from_arrays(skeleton, learned.arrays())
@@ -82,48 +87,38 @@ def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:
     return database
 
 
-def _from_model(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector:
+    """Return a model's corrector with the parameters and person of the config."""
     if model.skeleton.name != skeleton.name:
         raise InputError(
-            f"{config.model}: a model for {model.skeleton.name}, but the take is "
-            f"{skeleton.name}; train one on pairs of that skeleton"
+            f"a model for {model.skeleton.name}, but the take is {skeleton.name}; "
+            "train one on pairs of that skeleton"
         )
     if config.preset is not None and config.preset != model.preset:
         raise InputError(
-            f"{config.model}: not a model of preset {config.preset}; train one with "
-            f"'kinefilter train --preset {config.preset}'"
+            f"not a model of preset {config.preset}; train one with 'kinefilter train "
+            f"--preset {config.preset}'"
         )
     if config.method not in (None, model.method, "local-pca"):
         raise InputError(
-            f"{config.model}: a model of method {model.method}, but --method says "
-            f"{config.method}; leave one of the two out, or let --method local-pca "
-            "follow the model"
+            f"a model of method {model.method}, but --method is {config.method}; omit "
+            "--method, or use --method local-pca to run local-pca after the model"
         )
     corrector: Any = model.corrector
     if config.parameters.given:
-        try:
-            corrector = corrector.adjusted(**config.parameters.given)
-        except InputError as error:
-            raise InputError(f"{config.model}: {error}") from None
+        corrector = corrector.adjusted(**config.parameters.given)
     if config.person is not None:
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
-            known = f"only {', '.join(people)}" if people else "and nobody else"
+            known = f"only {', '.join(people)}" if people else "and no one else"
             raise InputError(
-                f"{config.model}: knows nobody called {config.person!r}, {known}; "
-                "teach it people with 'kinefilter train --people'"
+                f"does not know {config.person!r}, {known}; train it on people with "
+                "'kinefilter train --people'"
             )
         corrector.know(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:
-            raise InputError(
-                f"{config.model}: a model of method {model.method} cannot --adapt; "
-                "train one of method local-gp"
-            )
+            what = f"a model of method {model.method}"
+            raise InputError(f"{what} cannot --adapt; train one with --method local-gp")
         corrector.adapt = True
-    if config.method == "local-pca":
-        follower = _named("local-pca", skeleton, config)
-        least = _MODEL_RELIABILITY
-        return InTurn(corrector, follower, skeleton=skeleton, least_reliability=least)
-    learned: Corrector = corrector
-    return learned
+    return cast("Corrector", corrector)

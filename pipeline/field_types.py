@@ -1,4 +1,4 @@
-"""Values of settings, each of the type that its field is annotated with."""
+"""Conversion of settings to the types their fields are annotated with."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ _WORDS = {
     float: "a number",
     int: "a whole number",
     tuple[str, ...]: 'a list such as ["a", "b"]',
+    tuple[float, ...]: "a list of numbers",
 }
 
 
@@ -29,20 +30,20 @@ def type_hints(kind: Any) -> dict[str, Any]:
 
 
 def keyword_hints(kind: Any) -> dict[str, Any]:
-    """Return the type of each keyword that a constructor takes by its name alone."""
-    made: Any = vars(kind).get("__init__") if isinstance(kind, type) else kind
-    if made is None:  # inherited
+    """Return the type of each keyword-only argument of a constructor."""
+    function: Any = vars(kind).get("__init__") if isinstance(kind, type) else kind
+    if function is None:  # inherited
         return keyword_hints(kind.__base__)
-    hints = get_type_hints(made)
-    found = {name: hints[name] for name in made.__kwdefaults__ or {}}
+    hints = get_type_hints(function)
+    found = {name: hints[name] for name in function.__kwdefaults__ or {}}
     for hint in hints.values():
-        if get_origin(hint) is Unpack:  # of those that it hands on
+        if get_origin(hint) is Unpack:  # of keywords that are passed on
             found |= get_type_hints(*get_args(hint))
     return found
 
 
 def check_fields(settings: Any) -> None:
-    """Give each field of a frozen dataclass its type, or raise an InputError."""
+    """Convert each field of a frozen dataclass to its type, or raise InputError."""
     kind: Any = type(settings)
     for name, hint in type_hints(kind).items():
         value = getattr(settings, name)
@@ -52,7 +53,7 @@ def check_fields(settings: Any) -> None:
 
 
 def converted(value: object, hint: Any, where: str) -> Any:
-    """Return a value as the type that a hint names; raises an InputError."""
+    """Return a value converted to the type of a hint, or raise an InputError."""
     union = get_origin(hint) in (Union, UnionType)
     kinds = [k for k in (get_args(hint) if union else (hint,)) if k is not NoneType]
     for kind in kinds:

@@ -1,4 +1,4 @@
-"""Addresses that only this machine reaches."""
+"""Addresses that are only reachable from this machine."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import ipaddress
 import re
 
 OWN_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
-"""Origins of pages that a server of this machine gave its browser."""
+"""Origins of web pages served by this machine."""
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a host is this machine, and cannot be reached by others."""
+    """Return True if a host is this machine, and unreachable for others."""
     if host == "localhost":
         return True
     try:

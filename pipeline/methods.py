@@ -1,39 +1,35 @@
-"""Correction methods and reliability scorers by name: a line each, loaded when used.
+"""Correction methods and reliability scorers by name, imported when used.
 
-Whoever adds a method writes one file and adds one line here; the command line's choices
-and the tests read these tables.
+To add one, write a file and add a line here: command line and tests use these tables.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
-
-_PACKAGE = "kinefilter.pipeline"
+from typing import Any, Literal, TypeAlias
 
 
 @dataclass(frozen=True)
 class Method:
-    """Where a correction method is, and what makes it."""
+    """The location of a correction method, and what it is constructed from."""
 
     where: str
     """``module:name`` below ``kinefilter.pipeline``."""
     made_of: Literal["skeleton", "database", "pairs"]
-    """What its constructor takes: a skeleton, a motion database, or a skeleton before
-    ``fit`` learns from pairs of Kinect and mocap."""
+    """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
     options: tuple[str, ...] = ()
-    """Fields of ``CleanConfig`` that are options of its own."""
+    """Fields of ``CleanConfig`` that its constructor also takes."""
 
     def load(self) -> Any:
-        """Import and return what makes the method."""
+        """Import and return the method's class or factory."""
         return load(self.where)
 
 
 def load(where: str) -> Any:
-    """Import and return what is at ``module:name`` below ``kinefilter.pipeline``."""
+    """Import and return the object at ``module:name`` below ``kinefilter.pipeline``."""
     module, _, name = where.partition(":")
-    return getattr(import_module(f"{_PACKAGE}.{module}"), name)
+    return getattr(import_module(f"kinefilter.pipeline.{module}"), name)
 
 
 METHODS = {
@@ -56,24 +52,17 @@ METHODS = {
     "no-reliability": Method("lab.methods.shum:NoReliability", "database", ("seed",)),
 }
 """Correction methods."""
-
 LEARNED = {name: m for name, m in METHODS.items() if m.made_of == "pairs"}
-"""Correction methods that learn from pairs."""
-
+"""Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
     "chiang": "lab.scorers.chiang:ChiangReliabilityScorer",
     "noise": "lab.scorers.noise:NoiseReliabilityScorer",
     "learned": "lab.scorers.learned:LearnedReliabilityScorer",
 }
-"""Reliability scorers: after Shum 2013, after Chiang 2017, by noise and segment
-lengths, and as learned on simulated people."""
-
-if TYPE_CHECKING:
-    MethodName = str
-    LearnedName = str
-    ScorerName = str
-else:
-    MethodName = Literal[tuple(METHODS)]
-    LearnedName = Literal[tuple(LEARNED)]
-    ScorerName = Literal[tuple(SCORERS)]
+"""Reliability scorers: after Shum 2013, after Chiang 2017, from noise and segment
+lengths, and trained on simulated people."""
+# Choices of the command line, which type checkers cannot follow.
+MethodName: TypeAlias = Literal[tuple(METHODS)]  # type: ignore[valid-type]
+LearnedName: TypeAlias = Literal[tuple(LEARNED)]  # type: ignore[valid-type]
+ScorerName: TypeAlias = Literal[tuple(SCORERS)]  # type: ignore[valid-type]

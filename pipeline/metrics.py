@@ -1,11 +1,10 @@
-"""Every figure of quality that kinefilter prints, with its definition.
+"""The definitions of all quality metrics that kinefilter prints.
 
-Time stamps [s] have shape (T,), joint positions [m] (T, J, 3), NaN where missing, in
-the world frame with the floor at y = 0; ``stands`` tells whether each foot (left,
-right) stands, shape (T, 2), and the body has the lengths, capsules and masses. A figure
-that nothing can be measured of is NaN, such as the jitter of a take without four even
-frames in a row: JSON says null then, tables a dash. Nothing is measured across a long
-gap.
+Time stamps [s] have shape (T,). Joint positions [m] have shape (T, J, 3), NaN where
+missing, in the world frame with the floor at y = 0. ``stands`` flags the planted feet
+(left, right), shape (T, 2); the body has lengths, capsules and masses. A metric with
+nothing to measure, such as the jitter of a take without four evenly spaced frames, is
+NaN: null in JSON, a dash in tables. No metric looks across a long gap.
 """
 
 from __future__ import annotations
@@ -24,12 +23,11 @@ from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.support import unexplained
 
 SKATE_HEIGHT = 0.05
-"""A foot joint lower than this over its standing height [m] should not slide."""
-
+"""Height [m] above its standing height under which a foot joint should not slide."""
 SKATE_SPEED = 0.2
-"""A foot on the floor that is faster than this [m/s] visibly skates."""
+"""Speed [m/s] above which a foot on the floor visibly skates."""
 
-_SHORTEST_FLIGHT = 5  # frames that a parabola is fitted to
+_SHORTEST_FLIGHT = 5  # frames to fit a parabola to
 
 
 def _metric(meaning: str) -> Any:
@@ -38,42 +36,33 @@ def _metric(meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a motion is by itself."""
+    """Quality metrics of one motion."""
 
-    skate_mm_per_frame: float = _metric("feet on the floor slide, mm per frame")
-    skate_share_over_0p2: float = _metric("share of their frames over 0.2 m/s")
+    skate_mm_per_frame: float = _metric("slide of feet on the floor, mm per frame")
+    skate_share_over_0p2: float = _metric("share of such frames over 0.2 m/s")
     skate_max_m_per_s: float = _metric("fastest slide of a foot on the floor, m/s")
-    float_mm: float = _metric("soles of standing feet over the floor, mm")
+    float_mm: float = _metric("height of planted soles over the floor, mm")
     penetration_mm: float = _metric("deepest point under the floor, mm")
-    penetration_mean_mm: float = _metric("lowest point under the floor, mean, mm")
+    penetration_mean_mm: float = _metric("mean depth of the lowest point, mm")
     lowest_point_mm: float = _metric("height of the lowest point, mm")
     bone_length_cv: float = _metric("bone-length variation, share of the length")
     jitter: float = _metric("jitter, m/s³")
-    amplitude_kept: float = _metric("amplitude kept, share of the raw one")
-    peak_hand_speed: float = _metric(
-        "speed of the hands in the fastest 1% of frames, m/s"
-    )
-    flight_error: float = _metric("acceleration in flight off gravity, m/s²")
-    unexplained_force: float = _metric(
-        "force that no contact with the floor explains, body weights"
-    )
-    unexplained_moment: float = _metric(
-        "moment that no contact with the floor explains, body weights times m"
-    )
-    moved_cm: float = _metric("moved from raw, mean, cm")
+    amplitude_kept: float = _metric("amplitude kept, share of raw")
+    peak_hand_speed: float = _metric("speed of hands in the fastest 1% of frames, m/s")
+    flight_error: float = _metric("acceleration in flight minus gravity, m/s²")
+    unexplained_force: float = _metric("force no contact explains, body weights")
+    unexplained_moment: float = _metric("moment no contact explains, body weights · m")
+    moved_cm: float = _metric("mean distance from raw, cm")
 
 
-METRICS = {"skate": "feet on the floor slide, m per frame"} | {
+METRICS = {"skate": "slide of feet on the floor, m per frame"} | {
     metric.name: metric.metadata["meaning"] for metric in fields(Quality)
 }
-"""Name and meaning of each metric; names as in ``clean --json``, and ``skate``."""
+"""Meanings of the metrics by name: the names of ``clean --json``, and ``skate``."""
 
 
 def bone_length_cv(positions: Array, body: Body) -> float:
-    """Return the mean coefficient of variation of segment lengths over the frames.
-
-    Segments without a length count for nothing.
-    """
+    """Return the mean coefficient of variation of measured segment lengths."""
     skeleton, variations = body.skeleton, []
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         lengths = _known(np.linalg.norm(positions[:, j] - positions[:, p], axis=1))
@@ -85,8 +74,7 @@ def bone_length_cv(positions: Array, body: Body) -> float:
 def jitter(time: Array, positions: Array) -> float:
     """Return the mean magnitude of the third difference over dt^3 [m/s^3].
 
-    Only runs of four frames at the nominal rate (within half a step) count, with the
-    joint present in all of them.
+    Only runs of four frames with the joint count, evenly spaced within half a step.
     """
     third, nominal = even_differences(time, positions, 3)
     third = _known(third.T)
@@ -94,11 +82,10 @@ def jitter(time: Array, positions: Array) -> float:
 
 
 def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, float]:
-    """Return magnitudes of a difference [m], and the nominal step [s].
+    """Return magnitudes of the differences of an order >= 1 [m], and the nominal step.
 
-    NaN where a step is off the nominal one by half of it or more, and where the joint
-    is missing in one of the frames; shape (T - order, J), empty for too short motions.
-    The order is 1 or more.
+    The magnitudes (T - order, J), empty for too short a motion, are NaN where a step is
+    off the nominal one [s] by half of it or more, or the joint is missing in a frame.
     """
     count, joints = max(len(time) - order, 0), positions.shape[1]
     steps, nominal = np.diff(time), nominal_step(time)
@@ -112,10 +99,9 @@ def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, 
 
 
 def lowest_point(positions: Array, body: Body) -> Array:
-    """Return the height [m] of the body's lowest point in each frame, shape (T,).
+    """Return the height [m] of the body's lowest point, NaN without joints, (T,).
 
-    Segments are capsules, so their lowest point is under one of their ends; a missing
-    joint is nowhere, a frame without joints NaN.
+    Segments are capsules, so their lowest point is below one of their ends.
     """
     skeleton = body.skeleton
     ends = np.concatenate([skeleton.segments, skeleton.segment_parents])
@@ -124,12 +110,11 @@ def lowest_point(positions: Array, body: Body) -> Array:
 
 
 def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, float]:
-    """Return how feet slide while they should stand.
+    """Return how feet slide while they should be planted.
 
-    A foot stands between two frames if its joint is under 5 cm over its standing height
-    in both. Returns the mean horizontal movement [mm per nominal frame], the share
-    of those frames with more than 0.2 m/s, and the highest speed [m/s]; NaN where no
-    foot ever stands.
+    A foot should be planted between two frames if its joint is less than 5 cm above its
+    standing height in both. Returns the mean horizontal movement [mm per nominal
+    frame], the share of such frames over 0.2 m/s and the top speed [m/s], or else NaN.
     """
     steps, speeds = _steps(time), []
     for foot in body.skeleton.sides("Foot"):
@@ -145,26 +130,26 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
 
 
 def floating(positions: Array, stands: Flags, body: Body) -> float:
-    """Return how far the soles of standing feet are over the floor, mean [m]."""
+    """Return the mean height of the soles of planted feet over the floor [m]."""
     _, toes = ankles_and_toes(body.skeleton)
     over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
-    return _mean(_known(over))
+    return _mean(over)
 
 
 def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:
-    """Return the speed [m/s] that joints exceed in a hundredth of the frames."""
+    """Return the speed [m/s] that joints exceed in 1 % of the frames."""
     moved = np.linalg.norm(np.diff(positions[:, joints], axis=0), axis=2)
     speed = _known(moved / _steps(time)[:, None])
     return float(np.percentile(speed, 99.0)) if len(speed) else float("nan")
 
 
 def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> float:
-    """Return how far the center of mass is from falling freely in flight [m/s^2].
+    """Return how far the center of mass is from free fall in flight [m/s^2].
 
-    In flight, no foot stands and nothing of the body is under 5 cm, for five frames or
-    more. Over each flight, the mean acceleration (that of the parabola which fits best)
-    is compared with gravity's; mean over flights by frames. Momentum is consistent
-    where this is zero. A joint that is missing in a flight has no mass.
+    A flight is five or more frames in which no foot is planted and no point of the body
+    is lower than 5 cm. Its mean acceleration (of the best-fitting parabola) is compared
+    with gravity; flights are averaged weighted by their frames. Zero means consistent
+    momentum. A joint that is missing in a flight has no mass.
     """
     flying = ~stands.any(axis=1) & (lowest_point(positions, body) > SKATE_HEIGHT)
     masses = joint_masses(body)
@@ -182,10 +167,7 @@ def flight_error(time: Array, positions: Array, stands: Flags, body: Body) -> fl
 
 
 def amplitude(positions: Array, body: Body) -> Array:
-    """Return the rms distance [m] of joints from their mean place under the root, (J,).
-
-    NaN for the root and for joints never seen.
-    """
+    """Return rms distances [m] from mean places relative to the root, or NaN, (J,)."""
     relative = positions - positions[:, [body.skeleton.root]]
     moves = np.full(positions.shape[1], np.nan)
     for j in body.skeleton.segments:
@@ -196,7 +178,7 @@ def amplitude(positions: Array, body: Body) -> Array:
 
 
 def _steps(time: Array) -> Array:
-    """Return time steps [s], NaN where stamps repeat and over long gaps, (T - 1,)."""
+    """Return time steps [s], NaN at repeated stamps and long gaps, (T - 1,)."""
     steps = np.diff(time)
     return np.where((steps > 0.0) & (steps <= LONG_GAP), steps, np.nan)
 
@@ -206,12 +188,13 @@ def _known(values: Array) -> Array:
 
 
 def _mean(values: Array) -> float:
+    values = _known(values)
     return float(values.mean()) if len(values) else float("nan")
 
 
 def distances(positions: Array, raw: Array) -> Array:
     """Return the distance [m] of every joint from its measurement, shape (T, J)."""
-    # Joint by joint: the differences of an hour's take would fill the memory.
+    # Joint by joint, as the differences of an hour's take would fill the memory.
     pairs = zip(positions.swapaxes(0, 1), raw.swapaxes(0, 1), strict=True)
     return np.stack([np.linalg.norm(a - b, axis=1) for a, b in pairs], axis=1)
 
@@ -219,13 +202,13 @@ def distances(positions: Array, raw: Array) -> Array:
 def measure(
     time: Array, positions: Array, raw: Array, body: Body, stands: Flags
 ) -> Quality:
-    """Return the quality of a motion beside ``raw``, the measurement it came from."""
+    """Return the quality of a motion, relative to the ``raw`` measurement."""
     slide, share, fastest = skate(time, positions, body)
     low = _known(lowest_point(positions, body))
     moves, raw_moves = amplitude(positions, body), amplitude(raw, body)
-    both = raw_moves > 1e-6
+    moving = raw_moves > 1e-6
+    kept = moves[moving].sum() / raw_moves[moving].sum() if moving.any() else np.nan
     force, moment = unexplained(time, positions, body)
-    kept = moves[both].sum() / raw_moves[both].sum() if both.any() else np.nan
     return Quality(
         bone_length_cv=bone_length_cv(positions, body),
         jitter=jitter(time, positions),
@@ -238,8 +221,8 @@ def measure(
         amplitude_kept=float(kept),
         peak_hand_speed=peak_speed(time, positions, body.skeleton.sides("Wrist")),
         flight_error=flight_error(time, positions, stands, body),
-        unexplained_force=_mean(_known(force)),
-        unexplained_moment=_mean(_known(moment)),
+        unexplained_force=_mean(force),
+        unexplained_moment=_mean(moment),
         lowest_point_mm=float(low.min() * 1e3),
         moved_cm=float(np.nanmean(distances(positions, raw)) * 1e2),
     )

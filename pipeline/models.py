@@ -1,4 +1,4 @@
-"""Files of learned correctors: arrays only."""
+"""Model files, which hold learned correctors as plain arrays."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from .methods import LEARNED
 
 _VERSION = 1
 _DAMAGED = (ArithmeticError, AttributeError, IndexError, MemoryError, TypeError)
-"""What wrong arrays lead to, besides errors in their values and names."""
+"""Exceptions from unsuitable arrays, besides errors in their values and names."""
 _FARTHEST = 1.0  # m: no sensor misplaces a joint of a T-pose by more
 
 
 @dataclass(frozen=True)
 class Model:
-    """A learned corrector and where it comes from."""
+    """A learned corrector and its provenance."""
 
     corrector: LearnedCorrector
     """The fitted method."""
     method: str
-    """Its name."""
+    """Name of the method."""
     skeleton: Skeleton
     """The joints it was trained for."""
     source: str
-    """What it was trained on, for people."""
+    """The training data, in words."""
     preset: str | None = None
-    """The preset that it was trained as."""
+    """The preset it was trained as."""
 
 
 def save_model(model: Model, path: Path) -> None:
-    """Write a model as npz: arrays only; the file appears whole or not at all."""
+    """Write a model as npz; the file appears whole or not at all."""
     arrays: dict[str, Any] = {
         "version": np.array(_VERSION),
         "method": np.array(model.method),
@@ -46,38 +46,33 @@ def save_model(model: Model, path: Path) -> None:
         "trained_on": np.array(model.source),
         "preset": np.array(model.preset or ""),
     }
-    for key, array in model.corrector.arrays().items():
-        arrays[f"fitted_{key}"] = array
-    write_arrays(path, arrays)
+    fitted = model.corrector.arrays().items()
+    write_arrays(path, arrays | {f"fitted_{key}": array for key, array in fitted})
 
 
 def _try_out(corrector: LearnedCorrector) -> None:
-    """Raise a ValueError, or whatever damaged arrays lead to, if a T-pose gets lost."""
+    """Raise ValueError or one of _DAMAGED if a corrector displaces a T-pose far."""
     body = standard_body(corrector.skeleton)
     posture = np.tile(body.rest_positions, (3, 1, 1))
     posture -= posture[:, body.skeleton.root, None]
-    sure, beside = np.ones(posture.shape[:2]), np.tile([2.0, 0.0, 1.0], (3, 1))
-    seen = Observation(posture, sure, sure, np.arange(3) / 30, body.lengths, beside)
+    reliable, sensor = np.ones(posture.shape[:2]), np.tile([2.0, 0.0, 1.0], (3, 1))
+    time = np.arange(3) / 30
+    take = Observation(posture, reliable, reliable, time, body.lengths, sensor)
     for person in (None, *getattr(corrector, "people_", np.array([])).tolist()):
         corrector.know(person)
-        for tried in (seen, seen.frame(0)):
-            whole = tried is seen
-            found = (corrector.whole if whole else corrector.step)(tried).positions
-            away = np.abs(found - tried.positions).max()
-            if not away < _FARTHEST:
-                raise ValueError(f"it moves a T-pose by {away:.3g} m")
+        for found in (corrector.whole(take), corrector.step(take.frame(0))):
+            moved = np.abs(found.positions - posture[0]).max()
+            if not moved < _FARTHEST:
+                raise ValueError(f"it moves a T-pose by {moved:.3g} m")
     corrector.know(None)
     corrector.start()
 
 
 def load_model(path: Path) -> Model:
-    """Read a model that ``save_model`` wrote.
-
-    Raises an InputError if it is missing, not a model, or of a newer kinefilter.
-    """
+    """Read a model; raises InputError if it is missing, damaged or too new."""
     if not as_path(path).is_file():
-        raise InputError(f"{path}: no such model; make one with 'kinefilter train'")
-    arrays = read_arrays(path, "a model of 'kinefilter train'")
+        raise InputError(f"{path}: no such model; create one with 'kinefilter train'")
+    arrays = read_arrays(path, "a model from 'kinefilter train'")
     try:
         version, method = int(arrays["version"].item()), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
@@ -85,9 +80,9 @@ def load_model(path: Path) -> Model:
         preset = str(arrays.get("preset", "")) or None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except (KeyError, ValueError, TypeError):  # other arrays than ours
+    except (KeyError, ValueError, TypeError):  # other arrays
         raise InputError(
-            f"{path}: not a kinefilter model; make one with 'kinefilter train'"
+            f"{path}: not a kinefilter model; create one with 'kinefilter train'"
         ) from None
     if version > _VERSION or method not in LEARNED:
         raise InputError(
@@ -95,11 +90,8 @@ def load_model(path: Path) -> Model:
             f"kinefilter does not know (it knows {', '.join(LEARNED)}, version "
             f"{_VERSION}); update kinefilter or train again"
         )
-    fitted = {
-        key.removeprefix("fitted_"): array
-        for key, array in arrays.items()
-        if key.startswith("fitted_")
-    }
+    prefix = "fitted_"
+    fitted = {k.removeprefix(prefix): arrays[k] for k in arrays if k.startswith(prefix)}
     try:
         corrector = LEARNED[method].load().from_arrays(skeleton, fitted)
         with np.errstate(all="ignore"):

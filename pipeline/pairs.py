@@ -1,4 +1,4 @@
-"""Pairs of Kinect and mocap: a take, and the truth of its frames."""
+"""Pairs of Kinect and mocap: a take and the ground truth of its frames."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from .formats.recording import FARTHEST
 
 @dataclass(frozen=True, eq=False)
 class PairedTake:
-    """A take and what marker mocap saw at the same time, of who moves in which clip."""
+    """A take and the simultaneous marker mocap of its frames, the ground truth."""
 
     take: Take
     """The recording."""
     truth: Array
-    """Joint positions of the mocap [m], the take's frame, NaN where none, (T, J, 3)."""
+    """Mocap joint positions [m], the take's frame, NaN where missing, (T, J, 3)."""
     subject: str
     clip: str
 
     @property
     def movement(self) -> str:
-        """What the clip shows, as its name begins: m01 of m01_s02_e05."""
+        """The beginning of the clip's name: m01 of m01_s02_e05."""
         return self.clip.split("_")[0]
 
     def __post_init__(self) -> None:
@@ -41,27 +41,24 @@ class PairedTake:
         shapes: dict[str, Lengths] = {"truth": self.take.positions.shape}
         check_arrays(self, self.take.source, shapes)
         if np.isinf(self.truth).any():
-            raise InputError(
-                f"{self.take.source}: truth is inf; give NaN where none is"
-            )
+            raise InputError(f"{self.take.source}: truth is inf; use NaN if missing")
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     """Read the clips of a pairs file (npz), or raise an InputError.
 
     Arrays: ``joints`` (names), ``fps``, ``subject``, ``kinect`` and ``mocap`` (N, J, 3)
-    in meters, ``clip`` names with their rows ``start`` to ``stop``; optionally
-    ``state`` (N, J). NaN is a joint that the recording does not have.
+    in meters with NaN for missing joints, ``clip`` names with their rows ``start`` to
+    ``stop``; optionally ``state`` (N, J).
     """
     path = check_file(path)
     arrays = read_arrays(path, "a pairs file (npz of arrays)")
-    needed = ("joints", "fps", "subject", "kinect", "mocap", "clip", "start", "stop")
-    lacking = [key for key in needed if key not in arrays]
-    if lacking:
-        has = f"a pairs file holds {', '.join(needed)}"
-        raise InputError(f"{path}: no array {lacking[0]!r}; {has}")
     try:
         return _clips_of(path, arrays)
+    except KeyError as error:
+        raise InputError(
+            f"{path}: no array {error}; make pairs by 'kinefilter pair'"
+        ) from None
     except (ValueError, TypeError, IndexError, OverflowError) as error:
         raise InputError(
             f"{path}: its arrays are not pairs ({type(error).__name__}); write it again"
@@ -73,20 +70,18 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     for name, positions in (("kinect", kinect), ("mocap", mocap)):
         if (far := np.nanmax(np.abs(positions), initial=0.0)) > FARTHEST:
             raise InputError(
-                f"{path}: {name} has a joint {far:.3g} m away, expected a person "
-                "before a sensor, in meters; correct or delete it"
+                f"{path}: {name} has a joint {far:.3g} m away, expected at most "
+                f"{FARTHEST:g} m; convert to meters, or set the joint to NaN"
             )
     if kinect.shape != mocap.shape:
-        raise InputError(
-            f"{path}: kinect has shape {kinect.shape} but mocap {mocap.shape}; both "
-            "sides need the same frames and joints"
-        )
+        shapes = f"kinect has shape {kinect.shape} but mocap {mocap.shape}"
+        raise InputError(f"{path}: {shapes}; both need the same frames and joints")
     joints = arrays["joints"].tolist()
     known = {skeleton.joints: skeleton for skeleton in SKELETONS.values()}
     skeleton = known.get(tuple(joints))
     if skeleton is None or kinect.shape[1:] != (len(joints), 3):
         raise InputError(
-            f"{path}: joints {', '.join(map(str, joints[:3]))}, ... are no known "
+            f"{path}: joints {', '.join(map(str, joints[:3]))}, ... are not a known "
             "skeleton; expected the SDK's names in its order, such as "
             f"{', '.join(KINECT_V1.joints)}"
         )
@@ -95,14 +90,12 @@ def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:
     state = np.where(missing, State.NOT_TRACKED, state).astype(np.uint8)
     fps, subject = float(arrays["fps"].item()), str(arrays["subject"])
     if not 0.01 < fps < 1e4:
-        raise InputError(f"{path}: fps is {fps:g}, expected frames a second, as 30")
-    pairs = []
-    spans = zip(arrays["clip"], arrays["start"], arrays["stop"], strict=True)
-    for clip, start, stop in spans:
+        raise InputError(f"{path}: fps is {fps:g}, expected 0.01 to 10000 Hz")
+    pairs, columns = [], (arrays[name] for name in ("clip", "start", "stop"))
+    for clip, start, stop in zip(*columns, strict=True):
         if not 0 <= start < stop <= len(kinect):
-            raise InputError(
-                f"{path}: clip {clip} is rows {start} to {stop} of {len(kinect)}"
-            )
+            wrong = f"clip {clip} is rows {start} to {stop} of {len(kinect)}"
+            raise InputError(f"{path}: {wrong}; correct start and stop")
         rows, time = slice(int(start), int(stop)), np.arange(stop - start) / fps
         take = Take(time, kinect[rows], state[rows], skeleton, f"{path}:{clip}")
         pairs.append(PairedTake(take, mocap[rows], subject, str(clip)))

@@ -1,8 +1,8 @@
 """The papers' systems by name, and the parameters that ``--set`` changes.
 
-A preset is data: a method and a scorer with their constants, and what of the stages of
-``clean`` the paper has. ``pipeline/lab/DEPARTURES.md`` says where clean's own default
-departs from them, and what that is worth.
+A preset is data: a method and a scorer with their constants, and the stages of
+``clean`` that the paper has. ``pipeline/lab/DEPARTURES.md`` lists how the default of
+``clean`` departs from the papers, with the benefit of each departure.
 """
 
 from __future__ import annotations
@@ -10,104 +10,87 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from kinefilter.characters import InputError, Tracking
 
 from .field_types import converted, keyword_hints, type_hints
 from .methods import METHODS, SCORERS, load
 
-_MOST = 100_000  # counted, it would fill the memory; as a weight, nothing else counts
+_MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all others
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A paper's system: how joints are scored and corrected, and what comes after."""
+    """A paper's system: scoring, correction and the stages after them."""
 
-    paper: str
-    """Where it is from."""
     method: str
-    """Its method, out of ``METHODS``."""
+    """Name of its method in ``METHODS``."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Constants of the method that the paper prints, or leaves to be chosen."""
+    """Constants of the method: the paper's, or our choice where it gives none."""
     scoring: str = "shum"
-    """Its reliability, out of ``SCORERS``, which also says what training leaves out."""
+    """Name of its scorer in ``SCORERS``, which also selects the training data."""
     physics: bool = False
-    """Whether a simulated character follows: otherwise the joints are what it gives."""
+    """Whether a simulated character follows the corrected joints."""
 
     @property
     def stages(self) -> dict[str, Any]:
-        """Fields of ``CleanConfig`` that it decides.
+        """Fields of ``CleanConfig`` that the preset decides.
 
-        No paper smooths or plants feet afterwards, or lets hidden limbs go on before.
+        No paper smooths, plants feet or reconstructs hidden limbs.
         """
-        after = {"reconstruct": False, "cutoff": 0.0, "feet": "never"}
         own = {"method": self.method, "scoring": self.scoring, "physics": self.physics}
-        return own | after
+        return own | {"reconstruct": False, "cutoff": 0.0, "feet": "never"}
 
 
 _TABLE_V = {"neighbors": 30, "dimensions": 20, "steps": 20, "samples": 100}
 _WEIGHTS = {"control": 1.0, "style": 0.5, "kinematics": 1.5, "continuity": 0.25}
 _SHUM = {**_TABLE_V, **_WEIGHTS, "search": "stochastic", "memory": 0.0}
 _EQUATION_22 = {"spatial": 0.6, "temporal": 0.2, "reliability": 0.2}
-
+# Chosen on drifting limbs; the papers assume constant velocity of all joints.
+_DRIFT = {"likelihood": "density", "carry": 0.5, "spared": 1.0}
 PRESETS = {
-    "shum-2013": Preset(
-        "Shum, Ho, Jiang & Takagi 2013", "posture-space", _SHUM, physics=True
-    ),
-    "shum-2012": Preset(
-        "Shum & Ho 2012, method A of Shum 2013", "nearest", physics=True
-    ),
-    "shum-no-reliability": Preset(
-        "Method B of Shum 2013", "no-reliability", _SHUM, physics=True
-    ),
+    # Shum, Ho, Jiang & Takagi 2013
+    "shum-2013": Preset("posture-space", _SHUM, physics=True),
+    # Shum & Ho 2012: method A of Shum 2013
+    "shum-2012": Preset("nearest", physics=True),
+    # Method B of Shum 2013
+    "shum-no-reliability": Preset("no-reliability", _SHUM, physics=True),
+    # Liu, Zhou, Leung & Shum 2016
     "liu-2016": Preset(
-        "Liu, Zhou, Leung & Shum 2016",
         "local-gp",
         {"clusters": 30, "samples": 50, "blended": 9, **_EQUATION_22}
-        | {"frames": 2501, "trend": False, "votes": "similarity"}
-        # Chosen on drifting limbs; the paper has constant velocity, of every joint.
-        | {"likelihood": "density", "carry": 0.5, "spared": 1.0}
+        | {"frames": 2501, "trend": False, "votes": "similarity", **_DRIFT}
         | {"adapt": True},
     ),
+    # Zhou, Liu, Leung & Shum 2014, which Liu 2016 builds on
     "zhou-2014": Preset(
-        "Zhou, Liu, Leung & Shum 2014, which Liu 2016 starts from",
-        "full-gp",
-        {"samples": 2501, "variance": "exact", **_EQUATION_22}
-        | {"likelihood": "density", "carry": 0.5, "spared": 1.0},
+        "full-gp", {"samples": 2501, "variance": "exact", **_EQUATION_22, **_DRIFT}
     ),
-    "shen-2012": Preset(
-        "Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as Liu 2016 compares with it",
-        "exemplar",
-        {"samples": 16500, "neighbors": 10},
-    ),
+    # Shen, Deng, Bai, Leyvand, Guo & Tu 2012, as compared in Liu 2016
+    "shen-2012": Preset("exemplar", {"samples": 16500, "neighbors": 10}),
+    # Chiang, Chen, Li, Wang & Fu 2017
     "chiang-2017": Preset(
-        "Chiang, Chen, Li, Wang & Fu 2017",
         "clustered-gp",
         {"centroids": 800, "smallest_reliability": 0.7}
         | {"predicts": "positions", "lengths": "own"},
         scoring="chiang",
     ),
+    # Wang, Li, Wu, Lai & Yang
     "wang-low-rank": Preset(
-        "Wang, Li, Wu, Lai & Yang",
-        "low-rank",
-        {"sparsity": 1.0, "growth": 1.05, "iterations": 1000},
+        "low-rank", {"sparsity": 1.0, "growth": 1.05, "iterations": 1000}
     ),
 }
 """Presets by name."""
-
-if TYPE_CHECKING:
-    PresetName = str
-else:
-    PresetName = Literal[tuple(PRESETS)]
+PresetName: TypeAlias = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
 
 
 class Parameters(NamedTuple):
-    """What ``--set`` and a preset say, by whom it is for."""
+    """Parameters from ``--set`` and a preset, by what they configure."""
 
     method: dict[str, Any]
     given: dict[str, Any]
-    """Those of the method that ``--set`` says, and not the preset."""
+    """Those of the method from ``--set`` alone."""
     scorer: dict[str, Any]
     tracking: dict[str, Any]
     stages: dict[str, Any]
@@ -120,18 +103,17 @@ def parameters(
     assigned: Sequence[str],
     stages: Mapping[str, Any],
 ) -> Parameters:
-    """Return the parameters of a method or preset, those that are assigned changed.
+    """Return the parameters of a method or preset, with those assigned changed.
 
-    Assignments are NAME=VALUE, of a keyword of the method's or the scorer's
-    constructor, a gain of the simulated character, or one of ``stages``: fields of the
-    config that the preset decides, with their types. Raises an InputError for an
-    unknown name, or a value that does not fit.
+    Assignments are NAME=VALUE, of a keyword of the method's or scorer's constructor, a
+    tracking gain, or one of ``stages``: the config fields that the preset decides, with
+    their types. Raises an InputError for an unknown name or unsuitable value.
     """
     of_method = dict(PRESETS[preset].settings) if preset else {}
     found = Parameters(of_method, {}, {}, {}, {})
     if not assigned:
         return found
-    hints = (
+    groups = (
         (keyword_hints(METHODS[method].load()), found.given),
         (keyword_hints(load(SCORERS[scoring])), found.scorer),
         (type_hints(Tracking), found.tracking),
@@ -139,33 +121,26 @@ def parameters(
     )
     for assignment in assigned:
         name, equals, text = assignment.partition("=")
-        own = next((pair for pair in hints if name in pair[0]), None)
-        if own is None or not equals:
-            known = ", ".join(dict.fromkeys(n for names, _ in hints for n in names))
+        group = next((group for group in groups if name in group[0]), None)
+        if group is None or not equals:
+            known = ", ".join(dict.fromkeys(n for hints, _ in groups for n in hints))
             what = f"preset {preset}" if preset else f"method {method}"
-            raise InputError(
-                f"--set {assignment}: expected NAME=VALUE, with a parameter of {what}: "
-                f"{known}"
-            )
-        value = converted(_value(text), own[0][name], f"--set {name}")
-        own[1][name] = _checked(value, name)
+            expected = f"NAME=VALUE, with a parameter of {what}: {known}"
+            raise InputError(f"--set {assignment}: expected {expected}")
+        hints, values = group
+        value = converted(_parsed(text), hints[name], f"--set {name}")
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            least = int(isinstance(value, int) and name != "seed")
+            if not least <= value <= _MOST:
+                raise InputError(f"--set {name}={value}: expected {least} to {_MOST}")
+        values[name] = value
     found.method.update(found.given)
     return found
 
 
-def _value(text: str) -> Any:
+def _parsed(text: str) -> Any:
     """Return a number, true or false, or else the text itself."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
-
-
-def _checked(value: Any, name: str) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return value
-    whole = isinstance(value, int)
-    least = int(whole and name != "seed")
-    if not least <= value <= _MOST:
-        raise InputError(f"--set {name}={value}: expected {least} to {_MOST}")
-    return value

@@ -1,4 +1,4 @@
-"""How long work reports its progress."""
+"""Progress reports of long computations."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
-
 Progress = Callable[[str, int], Iterable[int]]
-"""Called with a stage's name and its number of steps; returns their iterator."""
+"""Called with the name of a stage and its number of steps; yields the steps."""
 
 
-def silent(stage: str, count: int) -> Iterable[int]:
-    """Return the steps of a stage, and report nothing."""
-    del stage
+def silent(_stage: str, count: int) -> Iterable[int]:
+    """Return the steps without reporting them."""
     return range(count)
 
 
 def over(items: Sequence[T], stage: str, progress: Progress) -> Iterator[T]:
-    """Yield items, and report how many are done."""
+    """Yield items, reporting how many are done."""
     for k in progress(stage, len(items)):
         yield items[k]

@@ -1,4 +1,4 @@
-"""How reliable each joint of each frame is, and what the person measures.
+"""The reliability of each joint in each frame, and the person's measurements.
 
 The default scorer, after Shum 2013, section IV; ``pipeline.methods`` names the others.
 """
@@ -18,18 +18,16 @@ from kinefilter.retarget import measured_body
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The person's segment lengths and directions, to recognize wrong lengths by."""
+    """The person's segment lengths and directions, against which frames are judged."""
 
     lengths: Array
-    """Length [m] of the segment that ends at each joint, NaN where never seen or the
-    root, shape (J,)."""
+    """Length [m] of the segment to each joint, NaN if never seen or the root, (J,)."""
     directions: Array
-    """Direction of the trunk's, hips' and shoulders' segments in the frame of the
-    trunk (x left, y up along the spine), median over the take, NaN elsewhere: where
-    this sensor sees these joints, shape (J, 3)."""
+    """Median direction of trunk, hip and shoulder segments in the trunk's frame (x is
+    left, y along the spine), as this sensor sees them, NaN for others, shape (J, 3)."""
     from_reference_posture: bool
-    """True: measured in T-pose or standing, as Shum does; False: the take holds no
-    such frame, and these are medians over frames where both ends are tracked."""
+    """True if measured in a T-pose or standing, as Shum does; False if the take has no
+    such frame, and these are medians over frames in which both ends are tracked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class Scores:
     reliability: Array
     """R in [0, 1], shape (T, J) (eq. 8)."""
     term: Codes
-    """The term that decided in the frame itself (Term), shape (T, J)."""
+    """The deciding term (Term) of the frame itself, shape (T, J)."""
     geometry: Array
     """The reliability from positions alone, without the tracking state, (T, J)."""
 
@@ -55,9 +53,9 @@ def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
 def measure_reference(take: Take) -> Reference:
     """Measure the person's segments where the sensor sees them best.
 
-    Frames in T-pose or standing with every joint tracked serve (section IV.B); where a
-    take has fewer than 5 of them, the median over all frames in which both ends of the
-    segment are tracked, or over all in which they are present, takes their place.
+    That is in frames in T-pose or standing with every joint tracked (section IV.B). If
+    the take has fewer than 5 of these, medians are taken over all frames in which both
+    ends of the segment are tracked, or else over all in which both are present.
     """
     skeleton = take.skeleton
     lengths = segment_lengths(take.positions, skeleton)
@@ -67,22 +65,21 @@ def measure_reference(take: Take) -> Reference:
     both[:, skeleton.segments] &= tracked[:, skeleton.segment_parents]
     ever = tracked.any(axis=0)
     posed = tracked[:, ever].all(axis=1) & _in_reference_posture(take)
-    found = bool(ever.any()) and int(posed.sum()) >= 5
-    # The best there is, segment by segment: posed, both ends tracked, both present.
+    enough = bool(ever.any()) and int(posed.sum()) >= 5
+    # The best available for each segment: posed, both ends tracked, both present.
     best = np.full(len(skeleton), np.nan)
-    for seen in (both & posed[:, None] & found, both, np.ones_like(both)):
-        medians = column_medians(np.where(seen, lengths, np.nan))
+    for usable in (both & posed[:, None] & enough, both, np.ones_like(both)):
+        medians = column_medians(np.where(usable, lengths, np.nan))
         best = np.where(np.isnan(best), medians, best)
-    # Joints that always coincide measure nothing.
-    best = np.where(best > 1e-3, best, np.nan)
-    return Reference(best, _trunk_directions(take), found)
+    best = np.where(best > 1e-3, best, np.nan)  # joints that always coincide
+    return Reference(best, _trunk_directions(take), enough)
 
 
 def rest_reference(body: Body) -> Reference:
-    """Return the segment lengths of a body that is known already."""
-    joints = (2, len(body.skeleton))
-    still = np.broadcast_to(body.rest_positions, (*joints, 3)).copy()
-    state = np.full(joints, State.TRACKED, dtype=np.uint8)
+    """Return the reference of a body that is already known."""
+    count = len(body.skeleton)
+    still = np.broadcast_to(body.rest_positions, (2, count, 3)).copy()
+    state = np.full((2, count), State.TRACKED, dtype=np.uint8)
     return measure_reference(Take(np.array([0.0, 1.0]), still, state, body.skeleton))
 
 
@@ -95,9 +92,8 @@ def measure_body(
 ) -> Body:
     """Return the body of the person in a take.
 
-    The reference is by default measured on the take, the height [m] that of its
-    lengths, and the mass [kg] that of the height. Raises an InputError if height or
-    mass is not a human's.
+    By default the reference is measured in the take, the height [m] follows from it,
+    and the mass [kg] from the height. Raises InputError for an inhuman height or mass.
     """
     measured = reference or measure_reference(take)
     return measured_body(
@@ -111,19 +107,17 @@ def measure_body(
 
 
 def _trunk_directions(take: Take) -> Array:
-    """Return the median direction of trunk segments in the trunk's frame, (J, 3)."""
+    """Return median directions of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder")]
-    left, right = np.transpose(pairs)
+    left, right = np.transpose([skeleton.sides("Hip"), skeleton.sides("Shoulder")])
     trunk = [*left, *right, *skeleton.up_from(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions
     points = take.positions[seen]
     up = points[:, skeleton.girdle] - points[:, skeleton.root]
-    leftward = (points[:, left] - points[:, right]).sum(axis=1)
-    front = np.cross(leftward, up)
+    front = np.cross((points[:, left] - points[:, right]).sum(axis=1), up)
     frame = np.stack([np.cross(up, front), up, front], axis=1)
     frame /= np.maximum(np.linalg.norm(frame, axis=2, keepdims=True), 1e-9)
     for j in trunk:
@@ -136,21 +130,21 @@ def _trunk_directions(take: Take) -> Array:
 
 
 def column_medians(values: Array) -> Array:
-    """Return medians down axis 0 without NaN; NaN where a column has nothing else."""
+    """Return medians over axis 0 that ignore NaN; NaN for columns of only NaN."""
     medians = np.full(values.shape[1], np.nan)
-    some = ~np.isnan(values).all(axis=0)
-    medians[some] = np.nanmedian(values[:, some], axis=0)
+    seen = ~np.isnan(values).all(axis=0)
+    medians[seen] = np.nanmedian(values[:, seen], axis=0)
     return medians
 
 
 def _in_reference_posture(take: Take) -> Flags:
-    """Tell the frames in T-pose or standing: legs and arms straight, trunk upright."""
+    """Return the frames in T-pose or standing: limbs straight, trunk upright."""
     skeleton = take.skeleton
     trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]
     upright = trunk[:, 1] > 0.94 * np.linalg.norm(trunk, axis=1)  # within 20 degrees
 
     def rise(*ends: str) -> Array:
-        """Return how steeply segments of both sides rise, from -1 to 1, (4, T)."""
+        """Return the sine of each segment's elevation, (4, T)."""
         joints = [skeleton.index(end + side) for side in SIDES for end in ends]
         starts = [skeleton.parents[j] for j in joints]
         bones = take.positions[:, joints] - take.positions[:, starts]
@@ -163,16 +157,16 @@ def _in_reference_posture(take: Take) -> Flags:
 
 
 class ReliabilityScorer:
-    """Scores one frame after the other; a whole take goes the same way.
+    """Scores frame by frame; a whole take gets the same scores.
 
     Args:
         skeleton: The joints.
         reference: The person's segment lengths.
-        smallest_displacement: d_min [m]: who moved less has not turned (eq. 3).
-        vibration_frames: f_b, angles averaged by the behavior term (eq. 4).
-        angle_floor: theta_floor [degrees], from which that term falls from 1 ...
-        angle_roof: ... to 0, at theta_roof [degrees].
-        rate_frames: f_total, frames that the reliability looks back on (eq. 8).
+        smallest_displacement: d_min [m]: smaller displacements have no angle (eq. 3).
+        vibration_frames: f_b, number of angles the behavior term averages (eq. 4).
+        angle_floor: theta_floor [degrees], up to which the behavior term is 1.
+        angle_roof: theta_roof [degrees], from which on it is 0.
+        rate_frames: f_total, number of frames the reliability averages (eq. 8).
     """
 
     def __init__(
@@ -191,25 +185,23 @@ class ReliabilityScorer:
         self.skeleton = skeleton
         self.reference = reference
         n, ends = len(skeleton), skeleton.segments
-        # Each joint's kinematics term is the mean over the segments it touches; a
-        # segment that was never measured has no say.
+        # A joint's kinematics term is the mean over the measured segments it touches.
         known = np.isfinite(reference.lengths[ends])
         touch = np.zeros((n, len(ends)))
-        touch[ends, np.arange(len(ends))] = known
-        touch[skeleton.segment_parents, np.arange(len(ends))] = known
-        counts = touch.sum(axis=1, keepdims=True)
-        self._touch = touch / np.where(counts > 0, counts, 1.0)
+        for joints in (ends, skeleton.segment_parents):
+            touch[joints, np.arange(len(ends))] = known
+        self._touch = touch / np.maximum(touch.sum(axis=1, keepdims=True), 1.0)
         self._lengths = np.where(known, reference.lengths[ends], 1.0)
         age = np.arange(rate_frames)
-        # The paper leaves the width open: the oldest frame is at two sigma.
+        # The paper leaves the width unspecified: the oldest frame is at two sigma.
         weights = np.exp(-0.5 * (2.0 * age / max(rate_frames - 1, 1)) ** 2)
-        # Row k: over the k + 1 frames that there are.
+        # Row k weights the first k + 1 frames.
         weights = np.tril(np.tile(weights, (rate_frames, 1)))
         self._weights = weights / weights.sum(axis=1, keepdims=True)
         self.start()
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         n = len(self.skeleton)
         self._frames = 0
         self._last = np.full((n, 3), np.nan)
@@ -225,8 +217,8 @@ class ReliabilityScorer:
     ) -> tuple[Array, Codes, Array]:
         """Return reliability, deciding term and geometry of the next frame, (J,).
 
-        Joint positions [m] (J, 3) are NaN where missing; states (J,) are State's. The
-        time stamp [s] is for scorers that go by it; without, 30 frames a second.
+        Joint positions [m] (J, 3) are NaN where missing; the states (J,) are State's.
+        The time stamp [s] is for scorers that need it; without one, they assume 30 Hz.
         """
         behavior = self._behavior(positions)
         kinematics = self._kinematics(positions)
@@ -236,33 +228,31 @@ class ReliabilityScorer:
         geometry = np.minimum(behavior, kinematics)
         self._scores[1:] = self._scores[:-1]
         self._scores[0] = np.minimum(geometry, tracked), geometry
-        # Eq. 8, the weights normalized over the frames there are.
+        # Eq. 8, with weights normalized over the frames so far.
         weights = self._weights[min(self._frames, len(self._weights) - 1)]
         self._frames += 1
-        reliability, shape = np.einsum("f,fkj->kj", weights, self._scores)
-        return reliability, term, shape
+        reliability, geometry = np.einsum("f,fkj->kj", weights, self._scores)
+        return reliability, term, geometry
 
     def score(self, take: Take) -> Scores:
-        """Score a whole take: the same as ``start`` and a ``step`` per frame."""
+        """Score a whole take, as ``start`` and a ``step`` for each frame do."""
         self.start()
-        count, n = take.state.shape
-        reliability, geometry = np.empty((count, n)), np.empty((count, n))
-        term = np.empty((count, n), dtype=np.uint8)
-        for k in range(count):
-            reliability[k], term[k], geometry[k] = self.step(
-                take.positions[k], take.state[k], float(take.time[k])
-            )
+        reliability, geometry = (np.empty(take.state.shape) for _ in range(2))
+        term = np.empty_like(take.state)
+        for k, time in enumerate(take.time.tolist()):
+            scores = self.step(take.positions[k], take.state[k], time)
+            reliability[k], term[k], geometry[k] = scores
         return Scores(reliability, term, geometry)
 
     def _behavior(self, positions: Array) -> Array:
-        """Return the behavior term, which falls with sharp turns (eq. 1-4)."""
+        """Return the behavior term, which sharp turns lower (eq. 1-4)."""
         moved = positions - self._last
         distance = np.sqrt(np.vecdot(moved, moved))
-        # False where a position is missing: no displacement, no angle.
+        # False where a position is missing: then there is no angle.
         turned = np.minimum(self._distance, distance) > self._least
         both = np.where(turned, self._distance * distance, 1.0)
         cosine = np.vecdot(self._moved, moved) / both
-        # Eq. 3 prints the cosine; its thresholds are angles.
+        # Eq. 3 prints the cosine, but its thresholds are angles.
         angle = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
         self._angles[:-1] = self._angles[1:]
         self._angles[-1] = np.where(turned, angle, 0.0)

@@ -1,4 +1,4 @@
-"""How a take is read, cleaned and written, and a fingerprint of these settings."""
+"""Settings for reading, cleaning and writing a take, and their fingerprint."""
 
 from __future__ import annotations
 
@@ -18,48 +18,48 @@ from .formats import Recording, read_recording
 from .formats.export import Export
 from .formats.files import check_file
 
-_PARTS = ("{name}", "{sensor}")  # of a pattern of sessions
+_PLACEHOLDERS = ("{name}", "{sensor}")  # in patterns of sessions
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How a take is read, cleaned and written."""
+    """Settings for reading, cleaning and writing a take."""
 
     config: CleanConfig = field(default_factory=CleanConfig)
     export: Export = field(default_factory=Export)
     format: TakeFormat | None = None
-    """Layout of the take; default: detected from its content."""
+    """Layout of the take. By default it is detected from the content."""
     take_fps: float | None = None
-    """Frames a second of a take that has no time stamps, as of MediaPipe, FreeMoCap and
-    OpenPose; default: 30."""
+    """Frame rate [Hz] of a take without time stamps, as from MediaPipe, FreeMoCap and
+    OpenPose. The default is 30."""
     body: int | Literal["all"] | None = None
-    """Which person, counted from 1 in order of appearance, or all: a clip each,
-    clip.1.usda, clip.2.usda and so on; default: the person seen in most frames."""
+    """Which person to clean, counted from 1 in order of appearance, or all, for a clip
+    each (clip.1.usda, ...). The default is the person seen in most frames."""
     calibration: Path | None = None
-    """Where and when several sensors are, as of 'merge --save-calibration'."""
+    """Alignment of several sensors, from 'merge --save-calibration'."""
     sessions: Suppress[str | None] = None
-    """Pattern of the names of takes that are of one session (``batch/sessions.py``)."""
+    """Pattern of the file names of a session's takes (``batch/sessions.py``)."""
     sensors: Suppress[tuple[str, ...]] = ()
-    """Names of their sensors, in order; default: whatever there is, by the alphabet."""
+    """Names of a session's sensors, in order; by default those found, sorted."""
 
     def __post_init__(self) -> None:
-        if self.sessions and any(self.sessions.count(part) != 1 for part in _PARTS):
+        pattern = self.sessions
+        if pattern and any(pattern.count(part) != 1 for part in _PLACEHOLDERS):
             raise InputError(
-                f"--sessions {self.sessions}: expected {' and '.join(_PARTS)} once "
+                f"--sessions {pattern}: expected {' and '.join(_PLACEHOLDERS)} once "
                 "each, such as {name}_{sensor}.csv* for walk_left.csv"
             )
         if len(set(self.sensors)) != len(self.sensors) or len(self.sensors) == 1:
-            raise InputError(
-                f"--sensors {' '.join(self.sensors)}: expected two or more, each once"
-            )
+            names = " ".join(self.sensors)
+            raise InputError(f"--sensors {names}: expected two or more, each once")
 
     def read(self, path: Path) -> Recording:
-        """Read a take as the settings say; raises InputError as ``read_recording``."""
+        """Read a take with these settings; errors as for ``read_recording``."""
         return read_recording(path, format=self.format, fps=self.take_fps)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that the settings name, whether they exist or not."""
+        """The files that the settings name, existing or not."""
         parts = (self.config, self.export)
         values = [getattr(part, f.name) for part in parts for f in fields(part)]
         values += [*self.config.same_person, self.calibration]
@@ -67,11 +67,10 @@ class Settings:
 
 
 def fingerprint(settings: Settings, suffix: str) -> str:
-    """Return a hash of all that decides the bytes of a clip, apart from the take.
+    """Return a hash of everything but the take that decides the bytes of a clip.
 
-    Files that the settings name count by their content, not by their path. ``suffix``
-    is the extension of the clip, such as ``.usdc``. Raises an InputError if a file that
-    the settings name does not exist.
+    Files count by their content; ``suffix`` is the extension of the clip, such as
+    ``.usdc``. Raises an InputError if a file does not exist.
     """
     known = asdict(settings)
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
@@ -82,19 +81,17 @@ def fingerprint(settings: Settings, suffix: str) -> str:
 
 
 def hash_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, or raise an InputError."""
+    """Return the SHA-256 of a file's content; raises InputError if unreadable."""
     try:
         with check_file(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InputError(
-            f"{path}: cannot be read ({reason}); check its name"
-        ) from error
+        raise InputError(f"{path}: cannot be read ({reason})") from error
 
 
 def names_file(value: object) -> TypeGuard[str | Path]:
-    """Tell files, also of scenes and rigs, from other settings."""
+    """Return True if a setting is a file, including those of scenes and rigs."""
     if isinstance(value, str):
         return Path(value).suffix in (".xml", ".toml")
     return isinstance(value, Path)

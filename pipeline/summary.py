@@ -1,4 +1,4 @@
-"""What ``clean`` tells the user: a table for people, JSON for programs."""
+"""The summary of ``clean``: tables for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROWS = (
     ("feet slide, mm/frame", "skate_mm_per_frame", "{:.1f}"),
     ("feet slide over 0.2 m/s", "skate_share_over_0p2", "{:.1%}"),
     ("unexplained force, body weights", "unexplained_force", "{:.2f}"),
-    ("standing soles float, mm", "float_mm", "{:.1f}"),
+    ("planted soles float, mm", "float_mm", "{:.1f}"),
 )
 _WORST = 5
 
@@ -75,7 +75,7 @@ def as_tables(result: CleanResult) -> RenderableType:
     columns = ("joint", "reliability", "decided by", "filled")
     joints = Table(*columns, title="least reliable joints", title_justify="left")
     for j in np.argsort(rates, kind="stable")[:_WORST]:
-        # By how much it cost, not how often: some term is the least in every frame.
+        # The term that cost most, not the most frequent: one decides in every frame.
         cost = 1.0 - clip.reliability[:, j]
         terms = np.bincount(clip.deciding_term[:, j], weights=cost)
         joints.add_row(
@@ -88,9 +88,7 @@ def as_tables(result: CleanResult) -> RenderableType:
     lines = [f"of all joints: {', '.join(shares)}"]
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
-        lines.append(f"postures that the method knows too little about: {share}")
-    lines += [
-        f"tracker failure: {sentence}"
-        for sentence in told_failures(result.failures, clip.time[0])
-    ]
+        lines.append(f"frames with postures unfamiliar to the method: {share}")
+    failures = told_failures(result.failures, clip.time[0])
+    lines += [f"tracker failure: {failure}" for failure in failures]
     return Group(head, stages, joints, *lines, *result.notes)

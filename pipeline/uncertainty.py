@@ -1,10 +1,9 @@
-"""How far each joint of a clip may be from where it was.
+"""The uncertainty of each joint of a clip: its expected error.
 
-It depends on how fast the joint moves, how reliable it is and how well its posture is
-known; where it was hidden, on how far the frame is from one that shows it, and how fast
-it went before and after. The weights were learned from people in front of a sensor,
-beside marker mocap, whom the corrector had not learned from
-(``pipeline.lab.uncertainty_lessons``).
+It depends on the joint's speed and reliability and on the coverage of its posture; for
+a hidden joint, on the time to the nearest frame that shows it, and on its speed before
+and after. The weights were trained on recordings of people with marker mocap beside
+them, none of whom the corrector was trained on (``pipeline.lab.uncertainty_lessons``).
 """
 
 from __future__ import annotations
@@ -20,56 +19,52 @@ from kinefilter.characters.arrays import Array, Flags, runs
 from .draft import Draft
 
 PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-"""The joints that are judged, left and right; others are as the nearest of these."""
+"""Joints with weights, left and right; the others get those of the nearest one."""
 SEEN = ("speed", "unreliable", "unknown posture")
 HIDDEN = ("until seen", "speed at ends", "unknown posture")
-"""What the uncertainty of joints that the sensor saw, and of hidden ones, depends on:
-times and speeds as logarithms."""
-
+"""Features of the joints the sensor saw, and of hidden ones; times and speeds are
+logarithmic."""
 _LEAST, _MOST = 0.005, 0.5  # m
-_STRANGEST = 0.2  # beyond, errors grow no more
-_ENDS = 3  # frames beside a gap that its speed is a mean over
+_STRANGEST = 0.2  # 1 - coverage beyond which errors grow no more
+_ENDS = 3  # frames on either side of a gap over which its speed is averaged
 
 
 def uncertainty(draft: Draft) -> Array:
-    """Return how far joints may be off [m], NaN where never seen, shape (T, J).
+    """Return the uncertainty of joints [m], NaN if never seen, shape (T, J).
 
-    Standard deviation of each coordinate of a joint's error relative to the middle of
-    the hips: some 70 % of coordinates are nearer to the truth than this, and 93 % than
-    twice as much.
+    This is the standard deviation of each coordinate of a joint's error relative to the
+    middle of the hips: some 70 % of errors are smaller, and 93 % smaller than twice it.
     """
     path = Path(__file__).with_name("embedded") / "uncertainty.toml"
     weights = tomllib.loads(path.read_text("utf-8"))
-    found = np.exp(log_uncertainty(weights, *describe(draft)))
-    found = np.clip(found, _LEAST, _MOST)
-    columns = _judged_by(draft.skeleton)
-    return np.stack([found[:, of].mean(axis=1) for of in columns], axis=1)
+    sigma = np.exp(log_uncertainty(weights, *describe(draft))).clip(_LEAST, _MOST)
+    columns = _nearest_judged(draft.skeleton)
+    return np.stack([sigma[:, of].mean(axis=1) for of in columns], axis=1)
 
 
 def log_uncertainty(
     weights: dict[str, dict[str, list[float]]], seen: Array, gone: Array, hidden: Flags
 ) -> Array:
-    """Return the logarithm of the uncertainty [m] of judged joints, shape (T, 2 P).
+    """Return the logarithm of the uncertainty [m] of the judged joints, (T, 2 P).
 
-    ``weights`` are bias and weights of each of PARTS, where it is ``seen`` and
-    ``hidden``; the others are as ``describe`` returns them.
+    ``weights`` are by seen or hidden, then by PARTS; ``describe`` returns the rest.
     """
     found = np.empty(hidden.shape)
     for k, part in enumerate(PARTS):
-        both = slice(2 * k, 2 * k + 2)
-        bias, *scales = weights["seen"][part]
-        shown = bias + seen[:, both] @ np.array(scales)
-        bias, *scales = weights["hidden"][part]
-        guessed = bias + gone[:, both] @ np.array(scales)
-        found[:, both] = np.where(hidden[:, both], guessed, shown)
+        sides = slice(2 * k, 2 * k + 2)
+        logs = []
+        for kind, features in (("seen", seen), ("hidden", gone)):
+            bias, *scales = weights[kind][part]
+            logs.append(bias + features[:, sides] @ np.array(scales))
+        found[:, sides] = np.where(hidden[:, sides], logs[1], logs[0])
     return found
 
 
 def describe(draft: Draft) -> tuple[Array, Array, Flags]:
-    """Return SEEN and HIDDEN of the judged joints, and which of these are hidden.
+    """Return features SEEN and HIDDEN of the judged joints, and which are hidden.
 
-    Shapes (T, 2 P, 3) twice and (T, 2 P); joints in the order of PARTS, left before
-    right. Of a joint that is never seen HIDDEN is NaN.
+    Shapes (T, 2 P, 3) twice and (T, 2 P), joints in the order of PARTS, left before
+    right. HIDDEN is NaN for a joint that is never seen.
     """
     skeleton, time = draft.skeleton, draft.time
     joints = judged(skeleton)
@@ -90,7 +85,7 @@ def describe(draft: Draft) -> tuple[Array, Array, Flags]:
 
 
 def _gap(speed: Array, gap: slice, time: Array) -> Array:
-    """Return all but the last of HIDDEN in the frames of a gap, shape (N, 2)."""
+    """Return the first two features HIDDEN in the frames of a gap, shape (N, 2)."""
     before = time[gap] - time[gap.start - 1] if gap.start else np.inf
     after = time[gap.stop] - time[gap] if gap.stop < len(speed) else np.inf
     ends = speed[max(gap.start - _ENDS, 0) : gap.start]
@@ -104,16 +99,15 @@ def judged(skeleton: Skeleton) -> list[int]:
     return [j for part in PARTS for j in skeleton.sides(part)]
 
 
-def _judged_by(skeleton: Skeleton) -> list[list[int]]:
-    """Return, for each joint, which of the judged joints it is as uncertain as."""
+def _nearest_judged(skeleton: Skeleton) -> list[list[int]]:
+    """Return, for each joint, the judged joints whose uncertainty it gets."""
     joints = judged(skeleton)
-    shoulders, hips = (
-        [joints.index(j) for j in skeleton.sides(part)] for part in ("Shoulder", "Hip")
-    )
+    sides = map(skeleton.sides, ("Shoulder", "Hip"))
+    shoulders, hips = ([joints.index(j) for j in pair] for pair in sides)
     upper = {skeleton.girdle, *skeleton.beyond(skeleton.girdle)}
     columns = []
     for j in range(len(skeleton)):
-        # The outer of the joints that it hangs on comes last.
-        on = [k for k, top in enumerate(joints) if j in (top, *skeleton.beyond(top))]
-        columns.append(on[-1:] or (shoulders if j in upper else hips))
+        # Of the judged joints it hangs from, the outermost comes last.
+        above = [k for k, top in enumerate(joints) if j in (top, *skeleton.beyond(top))]
+        columns.append(above[-1:] or (shoulders if j in upper else hips))
     return columns

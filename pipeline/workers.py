@@ -1,4 +1,4 @@
-"""Processes side by side, and how many threads each may use."""
+"""Worker processes, and the number of threads each may use."""
 
 from __future__ import annotations
 
@@ -19,37 +19,34 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-_ONE_THREAD = dict.fromkeys(
-    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
-_MOST_WAITED_FOR = 61  # processes: what Windows waits for at a time
-_GRACE = 5.0  # s to finish a file in, once nobody waits for it
-_PATIENCE = 1.5  # s until a process that should end is ended less gently
-
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
+_MOST_ON_WINDOWS = 61  # processes that Windows can wait for at a time
+_GRACE = 5.0  # s to finish a file once the work was given up
+_PATIENCE = 1.5  # s until a process is ended less gently
 _given_up = threading.Event()
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores this process may use."""
     if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere a process may use all
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def at_most(count: int) -> int:
-    """Return how many of so many processes a system lets wait for at a time."""
-    return min(count, _MOST_WAITED_FOR) if sys.platform == "win32" else count
+    """Return a number of processes, limited to what the system can wait for."""
+    return min(count, _MOST_ON_WINDOWS) if sys.platform == "win32" else count
 
 
 def given_up() -> bool:
-    """Tell, inside a worker, whether nobody waits for its work any more."""
+    """Return True, inside a worker, if nothing waits for its work any more."""
     return _given_up.is_set()
 
 
 def give_back_memory() -> None:
-    """Give freed memory back to the system, which glibc keeps in pieces.
+    """Return freed memory to the system, which glibc keeps in fragments.
 
-    Over a thousand takes a process otherwise grows by a third; it takes 2 to 6 ms.
+    Otherwise a process grows by a third over a thousand takes. Takes 2 to 6 ms.
     """
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
@@ -59,9 +56,9 @@ def give_back_memory() -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Give linear algebra one thread, in this process and in those begun inside.
+    """Limit linear algebra to one thread, here and in processes started inside.
 
-    With matrices this small, several threads only get in each other's way: on two busy
+    For matrices this small, several threads only get in each other's way: on two busy
     cores training is eight times as fast with one.
     """
     # The environment is for libraries loaded later, and for new processes.
@@ -73,35 +70,32 @@ def one_thread() -> Iterator[None]:
 def workers(
     count: int | None = None, *, environment: Mapping[str, str] | None = None
 ) -> Iterator[ProcessPoolExecutor]:
-    """Yield processes to work in, by default one a core, with variables of their own.
+    """Yield a pool of processes, by default one per core, with extra variables.
 
-    Each has one thread of linear algebra, and ends with the process that waits for it,
-    however that ends.
+    Each has one thread of linear algebra, and ends with its parent, however that ends.
     """
-    # Not forked: threads of the engine and of linear algebra do not survive it.
+    # Not forked, which threads of the engine and of linear algebra do not survive.
     context = multiprocessing.get_context("spawn")
-    heard, told = context.Pipe(duplex=False)
+    receiver, sender = context.Pipe(duplex=False)
     with one_thread(), _environment(environment or {}):
         pool = ProcessPoolExecutor(
             at_most(count or cores()),
             mp_context=context,
             initializer=_begin,
-            initargs=(heard,),
+            initargs=(receiver,),
         )
-        try:
-            yield pool
-        except BaseException:
-            told.close()
-            raise
-        finally:
-            pool.shutdown(cancel_futures=True)
-            told.close()
-            heard.close()
+        with receiver, sender:
+            try:
+                yield pool
+            except BaseException:
+                sender.close()
+                raise
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
 @contextmanager
 def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables for a while."""
     before = dict(os.environ)
     os.environ.update(variables)
     try:
@@ -112,19 +106,19 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
         os.environ.update({k: before[k] for k in variables if k in before})
 
 
-def _begin(told: Any) -> None:
-    """Prepare a worker; Ctrl-C, which reaches all, is for the process that waits."""
+def _begin(receiver: Any) -> None:
+    """Prepare a worker: Ctrl-C, which reaches all, is left to its parent process."""
     for number in signal.Signals:
-        if number.name in ("SIGINT", "SIGBREAK"):  # of these, Windows has both
+        if number.name in ("SIGINT", "SIGBREAK"):  # Windows has both
             signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_watch, args=(told,), daemon=True).start()
+    threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
 
 
-def _watch(told: Any) -> None:
-    """Note when nobody waits for the work, and end with the process that did."""
+def _watch(receiver: Any) -> None:
+    """Note that the work was given up, and end after the parent process does."""
     parent = multiprocessing.parent_process()
     if parent is not None:
-        wait([told, parent.sentinel])
+        wait([receiver, parent.sentinel])
         _given_up.set()
         parent.join()
         time.sleep(_GRACE)
@@ -132,43 +126,40 @@ def _watch(told: Any) -> None:
 
 
 class Worker:
-    """A process that does one call at a time and can be ended whatever it is doing.
+    """A process that runs one call at a time and can be ended at any point.
 
-    It has one thread of linear algebra, and ends with the process that began it,
-    however that ends.
+    It has one thread of linear algebra, and ends with its parent, however that ends.
     """
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self.calls, theirs = context.Pipe()
-        heard, self._told = context.Pipe(duplex=False)
-        self.process = context.Process(target=_serve, args=(theirs, heard), daemon=True)
-        with _environment(_ONE_THREAD), _unheard():
+        self.calls, calls = context.Pipe()
+        receiver, self._sender = context.Pipe(duplex=False)
+        arguments = calls, receiver
+        self.process = context.Process(target=_serve, args=arguments, daemon=True)
+        with calls, receiver, _environment(_ONE_THREAD), _uninterrupted():
             self.process.start()
-        theirs.close()
-        heard.close()
 
     def call(self, function: Callable[[Any], object], argument: object) -> None:
-        """Let it call a function of a module; ``calls`` then has True and the result.
+        """Run a module's function; ``calls`` then receives True and the result.
 
-        True comes when the call begins. If the process dies, reading raises EOFError or
-        OSError.
+        True comes when it begins. Once the process is dead, reading raises an error.
         """
-        with suppress(OSError):  # it died while it rested, as reading will tell
+        with suppress(OSError):  # it died while idle, as reading will show
             self.calls.send((function, argument))
 
     def end(self) -> None:
-        """End it now."""
+        """End the process now."""
         end_workers([self], 0.0)
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Start processes that never hear Ctrl-C, not even before ``_begin``."""
+def _uninterrupted() -> Iterator[None]:
+    """Shield processes that start meanwhile from Ctrl-C, even before ``_begin``."""
     if sys.platform == "win32":  # it has no such call
         yield
         return
-    resource_tracker.ensure_running()  # starting it would let Ctrl-C through
+    resource_tracker.ensure_running()  # whose start would unblock Ctrl-C
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
@@ -177,15 +168,15 @@ def _unheard() -> Iterator[None]:
 
 
 def end_workers(ended: Sequence[Worker], patience: float = _PATIENCE) -> None:
-    """End processes: each is told that nobody waits, then terminated, then killed.
+    """End processes: give up their work, then terminate, then kill them.
 
-    Each step has as many seconds, and Ctrl-C ends the waiting.
+    Each step waits at most ``patience`` seconds, later ones 1.5; Ctrl-C ends the wait.
     """
     processes = [worker.process for worker in ended]
     try:
         for worker in ended:
             worker.calls.close()
-            worker._told.close()
+            worker._sender.close()
         _join(processes, patience)
         for process in processes:
             process.terminate()
@@ -202,9 +193,9 @@ def _join(processes: Sequence[BaseProcess], seconds: float) -> None:
         process.join(max(until - time.monotonic(), 0.0))
 
 
-def _serve(calls: Any, heard: Any) -> None:
-    """Do calls until nobody has any more."""
-    _begin(heard)
+def _serve(calls: Any, receiver: Any) -> None:
+    """Run calls until there are no more."""
+    _begin(receiver)
     with suppress(EOFError, OSError):
         while True:
             function, argument = calls.recv()

@@ -349,7 +349,7 @@ def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
         assert left["nobody", k] == left["stranger", k]
     config = CleanConfig(model=path, person="ann")
     assert make_corrector(KINECT_V1, config)._person == 1
-    with pytest.raises(InputError, match="knows nobody called 'tom', only bob, ann"):
+    with pytest.raises(InputError, match="does not know 'tom', only bob, ann"):
         make_corrector(KINECT_V1, replace(config, person="tom"))
-    with pytest.raises(InputError, match="--person needs --model"):
+    with pytest.raises(InputError, match="--person needs a --model"):
         make_corrector(KINECT_V1, CleanConfig(person="ann"))

@@ -144,7 +144,7 @@ def test_what_a_preset_decides_is_not_decided_twice() -> None:
         CleanConfig(preset="shum-2013", method="kalman")
     with pytest.raises(InputError, match="change it with --set cutoff"):
         CleanConfig(preset="shum-2013", cutoff=3.0)
-    with pytest.raises(InputError, match="needs --preset or --method"):
+    with pytest.raises(InputError, match="needs the --preset or --method"):
         CleanConfig(set=("neighbors=3",))
 
 

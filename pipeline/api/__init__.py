@@ -1,6 +1,6 @@
 """kinefilter turns noisy Kinect skeleton takes into clips that animators ship.
 
-What most people need is here; nothing heavy is loaded before it is used.
+This module offers what most users need, and imports it on first use.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what a name stands for."""
+    """Import the object of a name."""
     if name == "__version__":
         from importlib.metadata import version
 
@@ -68,5 +68,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names that are here."""
+    """Return the public names."""
     return __all__
