@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Stage(ABC):
 
     name: str
     """Name in tables, progress bars and ``Cleaner.replaced``."""
+    adds: ClassVar[tuple[str, ...]] = ()
+    """Fields of the draft that ``step`` sets, collected by the default ``whole``."""
     in_parts: ClassVar[bool] = True
     """True if each part of a take between long gaps is processed as a take of its own;
     False if the stage measures something all parts share, or handles gaps itself."""
@@ -62,9 +64,27 @@ class Stage(ABC):
     def step(self, draft: Draft) -> None:
         """Process the next frame."""
 
-    @abstractmethod
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Process a whole take."""
+        """Process a whole take: by default ``start``, then ``step`` for each frame."""
+        self.start(draft.body)
+        count = len(draft.time)
+        arrays = {
+            name: value
+            for name, value in vars(draft).items()
+            if isinstance(value, np.ndarray) and len(value) == count
+        }
+        results: dict[str, list[Any]] = {name: [] for name in self.adds}
+        for k in progress(self.name, count):
+            frame = Draft(
+                draft.skeleton, draft.time[k], draft.measured[k], draft.state[k]
+            )
+            for name, array in arrays.items():
+                setattr(frame, name, array[k])
+            self.step(frame)
+            for name, values in results.items():
+                values.append(getattr(frame, name))
+        for name, values in results.items():
+            setattr(draft, name, np.array(values))
 
     def run(self, draft: Draft, progress: Progress) -> None:
         """Process a whole take, split at long gaps if the stage is ``in_parts``."""

@@ -113,13 +113,27 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
 
 
 class Raised(Stage):
-    """A stage that no cleaner has."""
+    """Lifts every joint, by a little more in each frame."""
 
     name = "raised"
+    adds = ("measured",)
 
-    def step(self, draft: Draft) -> None: ...
+    def start(self, body: object) -> None:  # noqa: ARG002 - any body
+        self._height = 0.0
 
-    def whole(self, draft: Draft, progress: Any) -> None: ...
+    def step(self, draft: Draft) -> None:
+        self._height += 0.01
+        draft.measured = draft.measured + np.array([0.0, self._height, 0.0])
+
+
+def test_a_stage_that_knows_frames_alone_does_takes_too(take: Take) -> None:
+    draft = Draft.of(take)
+    draft.body = standard_body(KINECT_V1)
+    stage = Raised()
+    stage.whole(draft, lambda _, count: range(count))
+    lift = (np.arange(len(take)) + 1) * 0.01
+    expected = take.positions + lift[:, None, None] * [0.0, 1.0, 0.0]
+    np.testing.assert_allclose(draft.measured, expected)
 
 
 class Still(Corrector):
