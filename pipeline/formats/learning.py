@@ -1,6 +1,6 @@
-"""Motions for learning and for robots: joints in the world, and SMPL's as in AMASS.
+"""Joint motions for machine learning and robots; SMPL and SMPL-X as in AMASS.
 
-All z up, in meters, with even frames. AMASS: Mahmood et al., AMASS: Archive of Motion
+All have z up, meters and even frames. AMASS: Mahmood et al., AMASS: Archive of Motion
 Capture as Surface Shapes, ICCV 2019.
 """
 
@@ -21,21 +21,21 @@ from .rig import RigMotion
 
 _TO_Z_UP = about_x(np.pi / 2.0)
 _JOINTS = {"smpl": 52, "smplx": 55}
-"""Of SMPL-H, the layout in which AMASS has SMPL, and of SMPL-X: fingers and face are
-those after the body's, in rest."""
+"""Number of joints of SMPL-H, whose layout AMASS uses for SMPL, and of SMPL-X. Fingers
+and face follow those of the body, and are at rest."""
 _BODY = 22
 _PARTS = {"root_orient": (0, 1), "pose_body": (1, 22)}
 _PARTS_X = {"pose_jaw": (22, 23), "pose_eye": (23, 25), "pose_hand": (25, 55)}
-_BETAS = 16  # as many as AMASS has, of an average body
+_BETAS = 16  # as many as in AMASS; zeros are the average body
 
 
 def write_joints(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
-    """Write where a rig's joints are and how they are turned in the world, as npz.
+    """Write the world positions and orientations of a rig's joints as npz.
 
     ``global_joint_positions`` [m] (T, J, 3) and ``global_joint_orientations`` wxyz
     (T, J, 4), ``joint_names``, ``parents`` (-1 for the root), ``fps`` and the person's
-    ``height`` [m]; for SMPL and SMPL-X also AMASS' arrays. Raises InputError if the
-    file cannot be written.
+    ``height`` [m]; for SMPL and SMPL-X also the arrays of AMASS. Raises InputError if
+    the file cannot be written.
     """
     rig, rate = moved.rig, export.fps or clip.fps
     turns = moved.rotations
@@ -69,6 +69,6 @@ def _amass(body: Array, pelvis: Array, rate: float, model: str) -> dict[str, Any
         "num_betas": _BETAS,
         "gender": "neutral",
         "surface_model_type": "smplx" if model == "smplx" else "smplh",
-        "mocap_framerate": rate,  # as in SMPL-H's files
-        "mocap_frame_rate": rate,  # as in SMPL-X'
+        "mocap_framerate": rate,  # the name in files of SMPL-H
+        "mocap_frame_rate": rate,  # the name in files of SMPL-X
     }
