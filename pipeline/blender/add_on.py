@@ -37,7 +37,7 @@ _LONGEST_NAME = 63  # characters of a marker's name
 
 
 class _UserError(Exception):
-    """An error to be reported to the user as it is."""
+    """An error whose message is shown to the user."""
 
 
 def _run(
@@ -104,8 +104,6 @@ def _rate(info: dict[str, Any], body: int) -> float:
 
 
 class _Options:
-    """Options for cleaning a take."""
-
     rig: bpy.props.EnumProperty(
         name="Rig",
         description="Skeleton of the new armature, or the rig whose bone names the "
@@ -219,8 +217,8 @@ class KINEFILTER_OT_clean(bpy.types.Operator, _Options):
             if self.rate == "TAKE":
                 info = yield from _run(program, ["info", "--json", str(take)], folder)
                 fps = _rate(json.loads(info), self.body)
-            command = ["clean", str(take), "-o", str(clip), "--fps", repr(fps)]
-            command += ["--json", str(summary)]
+            command = ["clean", str(take), "-o", str(clip), "--json", str(summary)]
+            command += ["--fps", repr(fps)]
             command += [] if self.physics else ["--no-physics"]
             command += ["--body", str(self.body)] if self.body else []
             command += [] if self.rig == _OWN else ["--rig", self.rig]
@@ -241,12 +239,11 @@ class KINEFILTER_OT_clean(bpy.types.Operator, _Options):
                 raise _UserError(f"{target_name}: this armature was removed meanwhile")
             figures = json.loads(summary.read_text("utf-8"))
             armature = armatures.imported(context, clip, fps, own=self.rig == _OWN)
-        if target is not None:
-            # Not ``target``: undo in the meantime may have replaced the object.
+        if target is None:
+            armature.name = take.stem
+        else:  # by name, as undo in the meantime may have replaced the object
             target = bpy.data.objects[target_name]
             armature = armatures.transferred(armature, target)
-        else:
-            armature.name = take.stem
         scene, first, last = context.scene, extras["time"][0], extras["time"][-1]
         if self.rate == "TAKE":
             scene.render.fps = max(round(fps), 1)

@@ -62,28 +62,28 @@ def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
     before, render = set(bpy.data.objects), context.scene.render
     # The importer multiplies times by ``fps_base`` instead of dividing.
     base, render.fps_base = render.fps_base, fps / render.fps
+    # The sensor's joints have no axes of their own; those of rigs are kept.
+    axes = "TEMPERANCE" if own else "BLENDER"
     try:
         bpy.ops.import_scene.gltf(
-            filepath=str(clip),
-            # The sensor's joints have no axes of their own; those of rigs are kept.
-            bone_heuristic="TEMPERANCE" if own else "BLENDER",
-            disable_bone_shape=True,
+            filepath=str(clip), bone_heuristic=axes, disable_bone_shape=True
         )
     finally:
         render.fps_base = base
     new = set(bpy.data.objects) - before
     (armature,) = [thing for thing in new if thing.type == "ARMATURE"]
     for thing in new:
-        if thing.animation_data is not None:
-            for track in [*thing.animation_data.nla_tracks]:
-                thing.animation_data.nla_tracks.remove(track)
-            for curve in _curves(thing):
-                keys = _points(curve)["co"]
-                near = np.rint(keys[:, 0])
-                on_frame = np.abs(keys[:, 0] - near) < _NEAR
-                keys[on_frame, 0] = near[on_frame]
-                curve.keyframe_points.foreach_set("co", keys.ravel())
-                curve.update()
+        if thing.animation_data is None:
+            continue
+        for track in [*thing.animation_data.nla_tracks]:
+            thing.animation_data.nla_tracks.remove(track)
+        for curve in _curves(thing):
+            keys = _points(curve)["co"]
+            frames = np.rint(keys[:, 0])
+            near = np.abs(keys[:, 0] - frames) < _NEAR
+            keys[near, 0] = frames[near]
+            curve.keyframe_points.foreach_set("co", keys.ravel())
+            curve.update()
     if own:  # the children of the root are at its place, so Blender draws it long
         context.view_layer.objects.active = armature
         bpy.ops.object.mode_set(mode="EDIT")
@@ -93,7 +93,6 @@ def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
 
 
 def _curves(thing: Any) -> Any:
-    """Return the animation curves of an object."""
     action = thing.animation_data.action
     if hasattr(action, "fcurves"):  # up to Blender 4
         return action.fcurves
@@ -123,11 +122,10 @@ def transferred(source: Any, target: Any) -> Any:
         moved = target.pose.bones[bone.name]
         moved.rotation_mode, moved.matrix_basis = "QUATERNION", Matrix()
         axes, wanted = (
-            (armature.matrix_world @ armature.data.bones[bone.name].matrix_local)
-            for armature in (source, target)
+            (a.matrix_world @ a.data.bones[bone.name].matrix_local).to_quaternion()
+            for a in (source, target)
         )
-        change = wanted.to_quaternion().inverted() @ axes.to_quaternion()
-        turn = np.array(change.to_matrix())
+        turn = np.array((wanted.inverted() @ axes).to_matrix())
         _turn(curves, bone.path_from_id("rotation_quaternion"), (1, 2, 3), turn)
         _turn(curves, bone.path_from_id("location"), (0, 1, 2), turn * ratio / scale)
     animated = target.animation_data or target.animation_data_create()
@@ -186,7 +184,6 @@ def show_reliability(
         curve.keyframe_points.foreach_set("interpolation", kinds)
         curve.update()
         color = colors[round(mean * (len(colors) - 1))]
-        bone.color.palette = "CUSTOM"
-        bone.color.custom.normal = color
+        bone.color.palette, bone.color.custom.normal = "CUSTOM", color
         bone.color.custom.select = [0.5 + 0.5 * share for share in color]
         bone.color.custom.active = [0.3 + 0.7 * share for share in color]

@@ -69,18 +69,16 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
-    """Write a clip as USD, GLB, VRMA, FBX, BVH, CSV or npz, whole or not at all.
+    """Write a clip in the format of the path's extension, whole or not at all.
 
-    The extension decides: ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.glb``,
-    ``.vrma``, ``.fbx``, ``.bvh``, ``.csv`` or ``.npz``. USD, GLB and FBX hold a skinned
-    character in T-pose, its animation and props; BVH the skeleton and rotations; VRMA
-    the rotations of VRM's skeleton; CSV joint positions and the sensor's states; npz
-    the whole clip. With a rig, USD, GLB, FBX and BVH hold its skeleton and animation,
-    and npz holds the arrays of ``write_joints``. By default units are meters, y is up,
-    and the frames are the clip's.
-
-    Raises InputError if the extension is unknown, an option does not apply to it, or
-    the file cannot be written, and as ``even_frames`` and ``write_fbx``.
+    USD (``.usda``, ``.usdc``, ``.usd``, ``.usdz``), ``.glb`` and ``.fbx`` hold a
+    skinned character in T-pose, its animation and props; ``.bvh`` the skeleton and
+    rotations; ``.vrma`` the rotations of VRM's skeleton; ``.csv`` joint positions and
+    the sensor's states; ``.npz`` the whole clip. With a rig, USD, GLB, FBX and BVH hold
+    its skeleton and animation, and npz the arrays of ``write_joints``. By default units
+    are meters, y is up, and the frames are the clip's. Raises InputError if the
+    extension is unknown, an option does not apply to it, or the file cannot be written,
+    and as ``even_frames`` and ``write_fbx``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -100,8 +98,7 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
         write_glb([(clip, _rig_motion(clip, export))], path, export)
     else:
         if suffix in USD_SUFFIXES:
-            # Loading pxr takes longer than most commands run.
-            from .usd import write_usd as write
+            from .usd import write_usd as write  # loads pxr, which is slow
         else:
             write = {".bvh": write_bvh, ".fbx": write_fbx, ".npz": write_joints}[suffix]
         write(clip, _rig_motion(clip, export), path, export)
@@ -113,12 +110,10 @@ def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
     Raises InputError as ``write_clip``.
     """
     check_writable(path, export)
-    people = []
-    for clip in clips:
-        own = paced(export, ".glb", clip.time, clip.source)
-        person = shaped(clip, own)
-        people.append((person, _rig_motion(person, own)))
-    write_glb(people, path, export)
+    paces = [paced(export, ".glb", clip.time, clip.source) for clip in clips]
+    clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
+    motions = map(_rig_motion, clips, paces)
+    write_glb([*zip(clips, motions, strict=True)], path, export)
 
 
 def _rig_motion(clip: Clip, export: Export) -> RigMotion:
@@ -126,28 +121,25 @@ def _rig_motion(clip: Clip, export: Export) -> RigMotion:
     if export.rig is None:
         return own_motion(clip)
     rig = target_rig(export.rig, export.target, clip.body)
-    axes = rig.rest.axes
-    if export.up == "z" and axes is not None:
+    if export.up == "z" and rig.rest.axes is not None:
         # Turning the world must not rename the axes of bones.
-        axes = multiply(axes, about_x(np.pi / 2.0))
+        axes = multiply(rig.rest.axes, about_x(np.pi / 2.0))
         rig = replace(rig, rest=replace(rig.rest, axes=axes))
-    acted, own = repeated(clip) if export.loop else (clip, slice(None))
-    motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
+    repetitions, own = repeated(clip) if export.loop else (clip, slice(None))
+    motion = Retargeted(*(values[own] for values in retarget(repetitions, rig)))
     return retargeted_motion(rig, motion, clip.skeleton, export.root)
 
 
 def read_clip(path: AnyPath) -> Clip:
     """Read a clip from any file that write_clip writes, except VRMA and FBX.
 
-    npz returns the whole clip. USD on kinefilter's own skeleton returns all but the
-    sensor's states, the name of the take, stature and mass; its time starts at 0. GLB
-    returns all but the name of the take, rounded to whole percent and millimeters. BVH
-    returns positions and rotations, CSV only positions: the body is measured from them,
-    contacts and props are unknown, and every joint counts as reliable. CSV and BVH may
-    be gzipped.
-
-    Raises InputError if the file is missing, damaged, of another kind or skeleton, or a
-    raw take.
+    npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
+    states, the name of the take, stature and mass; its time starts at 0. GLB on it is
+    all but the name of the take, in whole percent and millimeters. BVH has positions
+    and rotations, CSV only positions: the body is measured from them, contacts and
+    props are unknown, and every joint counts as reliable; both may be gzipped. Raises
+    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
+    take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
@@ -259,10 +251,7 @@ def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
 def _with_map_axes(
     rest: RestPose, offsets: Array, rig_map: RigMap, body: Body
 ) -> RestPose:
-    """Pose a skeleton whose BVH has the bones' axes in its motion, by the map's axes.
-
-    ``offsets`` are those of the file, relative to the parent, shape (N, 3).
-    """
+    """Pose a skeleton by a map's axes, which its BVH has in the motion."""
     built = built_rig(rig_map, body).rest
     if built.axes is None:
         return rest
@@ -276,7 +265,6 @@ def _with_map_axes(
 
 
 def _usd_rest(path: Path) -> RestPose:
-    """Return the first skeleton of a USD file at rest, y up, in meters."""
-    found = read_usd("rest_arrays", path)
-    names, parents = tuple(found["names"].tolist()), tuple(found["parents"].tolist())
-    return RestPose(names, parents, found["places"], found["axes"], source=str(path))
+    rest = read_usd("rest_arrays", path)
+    names, parents = tuple(rest["names"].tolist()), tuple(rest["parents"].tolist())
+    return RestPose(names, parents, rest["places"], rest["axes"], source=str(path))

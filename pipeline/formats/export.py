@@ -31,7 +31,6 @@ from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 from .rig import Travel
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
-
 PER_FRAME = {
     "reliability": "reliability",
     "movedByCorrection": "moved_by_correction",
@@ -46,15 +45,11 @@ PER_CLIP = {"sensorTilt": "tilt", "floorHeight": "floor", "sensorRoll": "roll"}
 """Provenance stored once: the name in files, and the field of a clip."""
 LENGTHS = ("moved_by_correction", "moved_by_physics", "uncertainty")
 """Fields of a clip that are in meters, with a number for each joint and frame."""
-
 GAMMA = 2.2
 """Exponent that turns screen colors into linear ones, roughly that of sRGB."""
 SKIN_COLOR = (0.11, 0.24, 0.32)
 """Linear color of the skin: muted, and used by no prop."""
-
 DAMAGED = "its skeleton and animation do not match; export it again"
-"""What readers say of files that they cannot make sense of."""
-
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 WHOLE_CLIPS = (".npz", *USD_SUFFIXES, ".glb")
 """Files that hold a clip's provenance and can be read back."""
@@ -124,9 +119,8 @@ class Export:
     """Skeleton to retarget to, in USD, GLB, FBX, BVH and npz: mixamo, unreal (Manny,
     Quinn), unreal4, unity, vrm, smpl, smplx, lafan1, rigify, or your own map (.toml)
     like those in retarget/rigs. By default it is the sensor's joints. Hands and feet
-    keep their place relative to limb length, and planted feet stay still. Skin and
-    props are left out; bones that the map does not name, such as fingers, keep their
-    rest pose."""
+    keep their place relative to limb length, and planted feet stay still. There is no
+    skin or prop; bones that the map does not name, such as fingers, stay at rest."""
     target: Path | None = None
     """File (.bvh or USD) with your own character's skeleton at rest, whose joints have
     the names of --rig. By default it is an average skeleton as tall as the person. Axes
@@ -149,15 +143,10 @@ class Export:
                 "seconds after the take's first frame, the end later than the beginning"
             )
         if self.target is not None and self.rig is None:
-            raise InputError(
-                f"--target {self.target}: needs --rig, whose joint names it has"
-            )
+            raise InputError(f"--target {self.target}: needs --rig for its joint names")
         if self.rig is not None and (self.rest != "own" or self.character is not None):
             flag = "--character" if self.rest == "own" else "--rest"
-            raise InputError(
-                f"{flag} is only for kinefilter's own skeleton; leave out {flag} or "
-                "--rig"
-            )
+            raise InputError(f"{flag} is only for kinefilter's own skeleton, not --rig")
 
     @property
     def meters_per_unit(self) -> float:
@@ -197,8 +186,8 @@ def with_y_up(values: Array) -> Array:
 def even_frames(time: Array, fps: float, source: str) -> int:
     """Return the number of frames at ``fps`` between time stamps [s] (T,).
 
-    Raises InputError if there are more than a recording may have, or if the long gaps,
-    in which the character holds still, add up to more than 10 minutes.
+    Raises InputError for more frames than a recording may have, and for long gaps, in
+    which the character holds still, of more than 10 minutes in all.
     """
     count = int((time[-1] - time[0]) * fps + _END) + 1
     gaps = long_gaps(time)
@@ -241,11 +230,11 @@ def span_of(export: Export, time: Array, source: str) -> slice:
 
 
 def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
-    """Return the settings with the frame rate at which a file must be written.
+    """Return the settings with the frame rate that a file needs.
 
-    FBX, and npz of a rig, always have even frames. BVH has no time stamps, so it gets
-    even frames where it must hold still in a long gap. Time stamps are in seconds,
-    shape (T,). Raises InputError as ``span_of`` and ``even_frames``.
+    FBX, and npz of a rig, always have even frames; so does BVH, which has no time
+    stamps, if there are long gaps. Time stamps [s] have shape (T,). Raises InputError
+    as ``span_of`` and ``even_frames``.
     """
     time = time[span_of(export, time, source)]
     rate = frames_per_second(time)
@@ -268,10 +257,9 @@ def resampled(clip: Clip, fps: float) -> Clip:
     and joints count as filled. Raises InputError as ``even_frames``.
     """
     known = np.flatnonzero(np.append(np.diff(clip.time) > 0.0, True))
-    stamps = clip.time[known]
+    stamps, end = clip.time[known], len(known) - 1
     count = even_frames(stamps, fps, clip.source)
     time = stamps[0] + np.arange(count) / fps
-    end = len(known) - 1
     last = np.clip(np.searchsorted(stamps, time, "right"), min(1, end), end)
     first = np.maximum(last - 1, 0)
     still = stamps[last] - stamps[first] > LONG_GAP
@@ -291,11 +279,11 @@ def resampled(clip: Clip, fps: float) -> Clip:
 
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
-        found = np.empty((count, *rotations.shape[1:]))
+        turned = np.empty((count, *rotations.shape[1:]))
         for some in chunks(count, FRAMES_AT_ONCE):
             start, end = rotations[before[some]], rotations[after[some]]
-            found[some] = slerp(start, end, part[some])
-        return found
+            turned[some] = slerp(start, end, part[some])
+        return turned
 
     def moved(prop: Prop) -> Prop:
         places, turns = line(prop.positions), arc(prop.rotations)

@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,14 +75,10 @@ def write_fbx(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
 def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
     """Return the lines that a command prints; it ends when this process ends."""
     standard_input, held_open = os.pipe()  # at its end, the script exits
+    output: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     try:
         ran = subprocess.run(
-            command,
-            stdin=standard_input,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            timeout=timeout,
-            check=False,
+            command, stdin=standard_input, timeout=timeout, check=False, **output
         )
     except subprocess.TimeoutExpired:
         raise InputError(
@@ -89,9 +86,8 @@ def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
             "write .glb, or cut the take"
         ) from None
     except OSError as error:
-        raise InputError(
-            f"--blender {command[0]}: cannot be run ({error.strerror})"
-        ) from None
+        reason = f"cannot be run ({error.strerror})"
+        raise InputError(f"--blender {command[0]}: {reason}") from None
     finally:
         os.close(standard_input)
         os.close(held_open)

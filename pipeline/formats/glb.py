@@ -1,9 +1,8 @@
 """Writing GLB, the binary form of glTF 2.0, and VRMA.
 
-Axes and unit are the same in a clip and in glTF: y up, facing +z, meters, seconds. Data
-that viewers do not need is in the animation's ``extras`` (see CONVENTIONS.md). VRMA is
-GLB on VRM's skeleton, plus a table of which node is which bone (VRMC_vrm_animation
-1.0).
+Clips and glTF have the same axes and units: y up, facing +z, meters, seconds. Data that
+viewers do not need is in the animation's ``extras`` (see CONVENTIONS.md). VRMA is GLB
+on VRM's skeleton, with a table of its bones (VRMC_vrm_animation 1.0).
 """
 
 from __future__ import annotations
@@ -36,10 +35,7 @@ COMPONENT_TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """Number types of accessors, with numpy's names."""
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 """Numbers in a row of an accessor, by its type."""
-SCALES = {
-    **dict.fromkeys(("reliability", "external_force"), 100.0),
-    **dict.fromkeys(LENGTHS, 1000.0),
-}
+SCALES = {"reliability": 1e2, "external_force": 1e2, **dict.fromkeys(LENGTHS, 1e3)}
 """Factors by which fields of a clip are multiplied before ``extras`` rounds them."""
 PER_KEYFRAME = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
 """Data in ``extras`` with a row for each keyframe, and the fields of a clip."""
@@ -66,7 +62,8 @@ def write_glb(
     start = min(clip.time[0] for clip, _ in people)
     for clip, moved in people:
         rows, stamps, held = _keys(clip, start)
-        _add_person(glb, clip, moved, rows, stamps, export)
+        glb.begin(stamps)
+        _add_person(glb, clip, moved, rows, export)
         if not extras and export.rig is None and clip.props:
             _add_props(glb, clip.props, rows)
         once = {"root": export.root, "turnedBy": dict(moved.turned_by)}
@@ -121,7 +118,7 @@ class _Document:
 
     def begin(self, stamps: Array) -> None:
         """Set the times [s] of the keyframes that ``move`` takes from now on."""
-        self._stamps, self._time = stamps, -1
+        self.stamps, self._time = stamps, -1
 
     def add(
         self, values: NDArray[Any], target: int | None = None, *, bounds: bool = False
@@ -129,9 +126,9 @@ class _Document:
         """Return the index of a new accessor of rows (N,) or (N, C)."""
         width = values.shape[1] if values.ndim > 1 else 1
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
-        kinds = (k for k, kind in COMPONENT_TYPES.items() if values.dtype == kind)
         if target is not None:
             view["target"] = target
+        kinds = (k for k, kind in COMPONENT_TYPES.items() if values.dtype == kind)
         accessor = {
             "bufferView": self.append("bufferViews", view),
             "componentType": next(kinds),
@@ -148,7 +145,7 @@ class _Document:
     def move(self, node: int, path: str, values: Array) -> None:
         """Animate a node's translation [m] or rotation (wxyz), a row per keyframe."""
         if self._time < 0:
-            self._time = self.add(self._stamps.astype("<f4"), bounds=True)
+            self._time = self.add(self.stamps.astype("<f4"), bounds=True)
         self._animate(node, path, {"input": self._time}, values)
 
     def bend(self, node: int, curve: Curve) -> None:
@@ -176,17 +173,10 @@ class _Document:
 
 
 def _add_person(
-    glb: _Document,
-    clip: Clip,
-    moved: RigMotion,
-    rows: Indices,
-    stamps: Array,
-    export: Export,
+    glb: _Document, clip: Clip, moved: RigMotion, rows: Indices, export: Export
 ) -> None:
-    """Add a person's skeleton and animation, and without a rig the skin."""
     nodes, rig = glb.lists["nodes"], moved.rig
     first = len(nodes)
-    glb.begin(stamps)
     glb.scene.append(first)
     nodes += [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
     for n, parent in enumerate(rig.parents[1:], start=1):
@@ -202,7 +192,7 @@ def _add_person(
         from .keys import sparse_curves  # loads scipy
 
         step, error = 1.0 / clip.fps, export.keys / 1000.0
-        for curve in sparse_curves(rig, stamps, step, paths, turns, error):
+        for curve in sparse_curves(rig, glb.stamps, step, paths, turns, error):
             glb.bend(first + curve.node, curve)
     if export.rig is None:
         mesh = glb.mesh("Skin", _skin(clip, rig, glb), SKIN_COLOR)

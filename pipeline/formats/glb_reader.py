@@ -18,19 +18,9 @@ from kinefilter.characters import Clip, InputError, Prop, Shape, standard_body
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import normalize
 
+from . import glb
 from .export import DAMAGED, PER_CLIP, name_tables, refused
 from .files import AnyPath, check_file
-from .glb import (
-    BINARY,
-    COMPONENT_TYPES,
-    JSON,
-    MAGIC,
-    PER_KEYFRAME,
-    SCALES,
-    SMOOTH,
-    WIDTHS,
-    key_times,
-)
 from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
@@ -57,35 +47,31 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
     with refused(os.fspath(path), DAMAGED, *_ERRORS), np.errstate(all="ignore"):
         document, data = _chunks(check_file(path))
         _, animation = _animated(document)
-        names = [
-            [str(document["nodes"][n]["name"]) for n in skin["joints"]]
-            for skin in document["skins"]
-        ]
+        nodes, skins = document["nodes"], document["skins"]
+        names = [[str(nodes[n]["name"]) for n in skin["joints"]] for skin in skins]
         extras = animation.get("extras", {}).get("kinefilter")
         if extras and "people" not in extras:
             time = np.array(extras["time"], dtype=float)
-            return names, key_times(time, time[0])
+            return names, glb.key_times(time, time[0])
         index = animation["samplers"][0]["input"]
         return names, _values(document, data, index).astype(float).ravel()
 
 
 def _animated(document: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the first skin and the first animation."""
     if not document.get("skins") or not document.get("animations"):
         raise InputError("has no animated skeleton; expected a clip of kinefilter")
     return document["skins"][0], document["animations"][0]
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Return the document and the binary part of a file."""
     if path.stat().st_size > _LARGEST:
         raise InputError("is larger than any clip that kinefilter writes")
     with path.open("rb") as file:
         magic, version, _ = struct.unpack("<III", file.read(12))
-        if (magic, version) != (MAGIC, 2):
+        if (magic, version) != (glb.MAGIC, 2):
             raise InputError("not a GLB file of glTF 2.0; give a clip")
         parts = []
-        for kind in (JSON, BINARY):
+        for kind in (glb.JSON, glb.BINARY):
             size, found = struct.unpack("<II", file.read(8))
             parts.append(file.read(size))
             if found != kind or len(parts[-1]) != size:
@@ -123,7 +109,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
     time = np.array(extras["time"], dtype=float)
     held = np.array(extras["held"], dtype=int)
     kept = np.delete(np.arange(len(extras["state"])), held)
-    stamps = key_times(time, time[0])
+    stamps = glb.key_times(time, time[0])
     # Frames with the same stamp share a keyframe.
     kept = kept[np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)]
 
@@ -131,7 +117,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         rows = np.array([nodes[node][what]], dtype=float)
         if sampler := samplers.get((node, what)):
             rows = values(sampler["output"]).astype(float)
-            if sampler.get("interpolation") == SMOOTH:
+            if sampler.get("interpolation") == glb.SMOOTH:
                 from scipy.interpolate import CubicHermiteSpline  # slow to load
 
                 keys = values(sampler["input"]).astype(float)
@@ -162,8 +148,8 @@ def _values(document: dict[str, Any], data: bytes, index: int) -> NDArray[Any]:
     """Return the rows of an accessor, (N,) or (N, C)."""
     accessor = document["accessors"][index]
     begin = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
-    kind = COMPONENT_TYPES[accessor["componentType"]]
-    width = WIDTHS[accessor["type"]]
+    kind = glb.COMPONENT_TYPES[accessor["componentType"]]
+    width = glb.WIDTHS[accessor["type"]]
     if min(accessor["count"], begin) < 0:
         raise InputError(DAMAGED)
     rows = np.frombuffer(data, kind, accessor["count"] * width, begin)
@@ -174,10 +160,10 @@ def _provenance(extras: dict[str, Any], kept: Indices) -> dict[str, Any]:
     """Return the fields of a clip that are stored in extras, at the frames kept."""
     once = PER_CLIP.items()
     values: dict[str, Any] = {f: float(extras[k]) for k, f in once if k in extras}
-    for name, field in PER_KEYFRAME.items():
+    for name, field in glb.PER_KEYFRAME.items():
         rows = np.array(extras[name], dtype=float)[kept]
-        if field in SCALES:
-            values[field] = np.where(rows < 0.0, np.nan, rows / SCALES[field])
+        if field in glb.SCALES:
+            values[field] = np.where(rows < 0.0, np.nan, rows / glb.SCALES[field])
         elif np.isin(rows, np.arange(256)).all():
             values[field] = rows.astype(np.uint8)
         else:

@@ -60,12 +60,9 @@ def sparse_curves(
 
     They also keep rotations within half a degree per millimeter of error. Curves are
     fitted from the root outward, and each compensates for the errors of those above it.
-    Where frames are farther apart than ``step`` [s], the curves also follow the frames
-    in between, which are interpolated on lines and shortest arcs.
-
-    Time stamps [s] have shape (T,): two or more, distinct in single precision.
-    ``places`` are the local positions [m] (T, 3) of the nodes that move, by index;
-    ``local`` are the local rotations of all nodes, wxyz, (T, N, 4).
+    Frames missing at intervals of ``step`` [s] count as interpolated. Time stamps [s]
+    are two or more, distinct in single precision, (T,); ``places`` are local positions
+    [m] (T, 3) of the nodes that move, ``local`` all local rotations, wxyz, (T, N, 4).
     """
     stamps, before, share = _with_missing(stamps, step)
     after = np.minimum(before + 1, len(local) - 1)
@@ -92,9 +89,9 @@ def sparse_curves(
 
 
 def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
-    """Return times [s] including missing frames, and where each lies between frames.
+    """Return times [s] with missing frames, the frame before each, and the share.
 
-    That is the index of the frame before it, and the share of the way to the next.
+    That is how far it is on the way to the next frame, from 0 to 1.
     """
     count = np.maximum(np.rint(np.diff(stamps) / step), 1.0).astype(int)
     before = np.append(np.repeat(np.arange(len(count)), count), len(count))
@@ -107,26 +104,24 @@ def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
 
 
 class _Chain:
-    """Positions and rotations of a rig's nodes, as they should be and by the curves."""
+    """Positions and rotations of a rig's nodes: the targets, and those of curves."""
 
     def __init__(
         self, rig: Rig, paths: Mapping[int, Array], local: Array, error: float
     ) -> None:
         self._rig, self._places = rig, rig.at_rest[0]
-        self.world = rig.world_rotations(local)
-        """World rotations as they should be, (T, N, 4)."""
-        self.turned = self.world.copy()
-        """World rotations by the curves so far, elsewhere as they should be."""
+        self.world = rig.world_rotations(local)  # the targets, (T, N, 4)
+        self.turned = self.world.copy()  # by the curves so far
         self._positions = np.empty((*local.shape[:2], 3))
         for node in range(len(rig)):
             self.put(node, paths.get(node, self._places[node]))
         self._targets = self._positions.copy()
         far = np.linalg.norm(self._places, axis=1) > _SHORT
         far[list(paths)] = True
-        led = [n for n in range(len(rig)) if far[n] and n not in paths]
-        self._children = [
-            [child for child in led if rig.parents[child] == n] for n in range(len(rig))
-        ]
+        self._children: list[list[int]] = [[] for _ in range(len(rig))]
+        for node, parent in enumerate(rig.parents):
+            if parent >= 0 and far[node] and node not in paths:
+                self._children[parent].append(node)
         self._allowed = (error - _ROUNDING) * _error_shares(rig.parents, far)
         self._angle = (error - _ROUNDING) / _LEVER
 
@@ -151,10 +146,7 @@ class _Chain:
         return np.asarray(np.linalg.norm(away, axis=1) / self._allowed[node])
 
     def rotation_errors(self, node: int, values: Array) -> Array:
-        """Return the largest error that local rotations cause, likewise.
-
-        The node's own rotation and the positions of its children count.
-        """
+        """Return the largest such error of a node's rotation and of its children."""
         now = self.turn(node, values)
         sines = multiply(inverse(self.world[:, node]), now)[:, 1:]
         most = 2.0 * np.linalg.norm(sines, axis=1) / self._angle
@@ -172,8 +164,7 @@ def _error_shares(parents: tuple[int, ...], far: Flags) -> Array:
         depth[node] += depth[parent]
     deepest = depth.copy()
     for node in range(len(parents) - 1, 0, -1):
-        above = parents[node]
-        deepest[above] = max(deepest[above], deepest[node])
+        deepest[parents[node]] = max(deepest[parents[node]], deepest[node])
     return np.asarray((depth / deepest) ** _GROWTH)
 
 
@@ -182,7 +173,7 @@ def _fitted(
 ) -> tuple[Curve, Array]:
     """Return a curve through few of the values (T, C), and its value in each frame.
 
-    ``errors`` returns the error of such values in each frame; 1 is the largest allowed.
+    ``errors`` gives the error of such values in each frame, 1 for the largest allowed.
     """
     kept = np.zeros(len(stamps), dtype=np.bool_)
     kept[[0, -1]] = True

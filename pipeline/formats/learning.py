@@ -1,7 +1,6 @@
-"""Joint motions for machine learning and robots; SMPL and SMPL-X as in AMASS.
+"""Joint motions for learning and robots, SMPL's as in AMASS: z up, meters, even frames.
 
-All have z up, meters and even frames. AMASS: Mahmood et al., AMASS: Archive of Motion
-Capture as Surface Shapes, ICCV 2019.
+AMASS: Mahmood et al., AMASS: Archive of Motion Capture as Surface Shapes, ICCV 2019.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Clip
-from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_x, multiply, rotate, rotation_vector
 
 from .export import Export
@@ -50,25 +48,21 @@ def write_joints(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) ->
         "height": clip.body.height,
     }
     if export.rig in _JOINTS:
+        poses = np.zeros((len(turns), _JOINTS[export.rig], 3))
         local = rig.local_rotations(turns)[:, :_BODY]
         local[:, 0] = multiply(_TO_Z_UP, local[:, 0])
-        arrays |= _amass(rotation_vector(local), places[:, 0], rate, export.rig)
+        poses[:, :_BODY] = rotation_vector(local)
+        parts = _PARTS | (_PARTS_X if export.rig == "smplx" else {})
+        for name, (first, end) in parts.items():
+            arrays[name] = poses[:, first:end].reshape(len(poses), -1)
+        arrays |= {
+            "poses": poses.reshape(len(poses), -1),
+            "trans": places[:, 0],
+            "betas": np.zeros(_BETAS),
+            "num_betas": _BETAS,
+            "gender": "neutral",
+            "surface_model_type": "smplx" if export.rig == "smplx" else "smplh",
+            "mocap_framerate": rate,  # the name in files of SMPL-H
+            "mocap_frame_rate": rate,  # the name in files of SMPL-X
+        }
     write_arrays(path, arrays)
-
-
-def _amass(body: Array, pelvis: Array, rate: float, model: str) -> dict[str, Any]:
-    poses = np.zeros((len(body), _JOINTS[model], 3))
-    poses[:, :_BODY] = body
-    parts = _PARTS | (_PARTS_X if model == "smplx" else {})
-    slices = {name: poses[:, slice(*part)] for name, part in parts.items()}
-    return {
-        **{name: part.reshape(len(body), -1) for name, part in slices.items()},
-        "poses": poses.reshape(len(body), -1),
-        "trans": pelvis,
-        "betas": np.zeros(_BETAS),
-        "num_betas": _BETAS,
-        "gender": "neutral",
-        "surface_model_type": "smplx" if model == "smplx" else "smplh",
-        "mocap_framerate": rate,  # the name in files of SMPL-H
-        "mocap_frame_rate": rate,  # the name in files of SMPL-X
-    }

@@ -22,14 +22,12 @@ Travel = Literal["travel", "in-place", "none"]
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A tree of nodes, each of which rotates all its children together.
+    """A tree of nodes, each of which rotates everything below it.
 
-    In a clip every segment has its own rotation, so the segments that leave one joint
-    rotate independently. In animation formats a node rotates everything below it. So
-    where a joint branches, each child gets a helper node ``<Child>Pivot`` at the same
-    place, which rotates with the child's segment. A joint with one child rotates with
-    that child's segment, and a leaf with its own. On other rigs every node has its own
-    segment.
+    In a clip every segment has its own rotation. So where a joint branches, each child
+    gets a helper node ``<Child>Pivot`` at the same place, which rotates with the
+    child's segment. A joint with one child rotates with that child's segment, and a
+    leaf with its own. On other rigs every node has its own segment.
     """
 
     names: tuple[str, ...]  # the sensor's for a joint, ``<Child>Pivot`` for a helper
@@ -38,13 +36,12 @@ class Rig:
     segments: Indices  # index of the segment that each node rotates with, shape (N,)
     root: Array  # position of the root in the T-pose [m], shape (3,)
     axes: Array | None = None
-    """World rotation of each node's own axes in the rest pose, wxyz, shape (N, 4). None
+    """World rotation of each node's axes in the rest pose, wxyz, shape (N, 4). None
     stands for the world's axes."""
     mover: int = 0
     """Index of the node that moves relative to its parent: the root, or the pelvis of a
     rig whose root stays on the floor."""
-    axes_in_bvh: bool = False
-    """True if BVH includes the axes in the motion, and so has no rest pose."""
+    axes_in_bvh: bool = False  # BVH has the axes in its motion, and so no rest pose
 
     def __len__(self) -> int:
         return len(self.names)
@@ -105,8 +102,8 @@ class Rig:
         places = self.offsets.copy()
         places[0] = self.root
         if self.axes is not None:
-            above = self.axes[list(self.parents[1:])]
-            places[1:] = rotate(inverse(above), places[1:])
+            parent_axes = self.axes[list(self.parents[1:])]
+            places[1:] = rotate(inverse(parent_axes), places[1:])
         return places, self.local_rotations(still)
 
 
@@ -149,12 +146,12 @@ def motion_of_rig(
 ) -> Motion:
     """Convert the motion of a skeleton's own rig to a Motion.
 
-    ``offsets`` from each node's parent in the rest pose [m] have shape (N, 3), world
-    ``rotations`` of the nodes (T, N, 4), positions of the ``root`` [m] (T, 3), time
-    stamps [s] (T,). Raises InputError if no person has such segments.
+    Rest offsets from each node's parent [m] have shape (N, 3), world rotations of the
+    nodes (T, N, 4), positions of the root [m] (T, 3), time stamps [s] (T,). Raises
+    InputError if no person has such segments.
     """
     rig = rig_of(standard_body(skeleton))
-    bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]].copy()
+    bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]]
     bones[skeleton.root] = 0.0
     lengths = np.linalg.norm(bones, axis=1)
     directions = bones / np.maximum(lengths, 1e-12)[:, None]
@@ -187,10 +184,7 @@ def own_motion(clip: Clip) -> RigMotion:
 
 
 def retargeted_motion(
-    target: TargetRig,
-    motion: Retargeted,
-    skeleton: Skeleton,
-    travel: Travel = "travel",
+    target: TargetRig, motion: Retargeted, skeleton: Skeleton, travel: Travel = "travel"
 ) -> RigMotion:
     """Return a retargeted motion, keeping as much root motion as ``travel`` says.
 
@@ -199,8 +193,7 @@ def retargeted_motion(
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
-    segments, root = np.arange(len(rest)), rest.positions[0]
-    tree = (rest.names, rest.parents, offsets, segments, root)
+    tree = (rest.names, rest.parents, offsets, np.arange(len(rest)), rest.positions[0])
     rig = Rig(*tree, rest.axes, mover, rest.axes_in_bvh)
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":

@@ -17,8 +17,8 @@ from .rig import Travel
 def shaped(clip: Clip, export: Export) -> Clip:
     """Return a clip with the span, frame rate, loop and rest pose of an export.
 
-    Without a rig also with its root motion; a rig handles its own. Raises InputError as
-    ``span_of``, ``even_frames`` and ``looped``.
+    The root motion is that of the export, too, unless a rig has its own. Raises
+    InputError as ``span_of``, ``even_frames`` and ``looped``.
     """
     if (export.begin, export.end) != (None, None):
         clip = clip.at(span_of(export, clip.time, clip.source))

@@ -6,26 +6,25 @@
 With a rig it has only skeleton and animation: the rig has its own skin, and the props
 are within reach of our proportions, not of the rig's.
 
-``/Character`` has attributes ``kinefilter:NAME``. These have a sample per frame, arrays
-in the order of ``joints``, and lengths in meters whatever the stage's unit:
+Attributes ``kinefilter:NAME`` of ``/Character`` with a sample per frame, arrays in the
+order of ``joints``, lengths in meters whatever the stage's unit:
 
 - ``reliability``: of each joint's measurement, in [0, 1]; ``decidingTerm`` is the term
   that decided it, an index into ``decidingTermNames``
 - ``origin``: where each joint came from, an index into ``originNames``
-- ``movedByCorrection``, ``movedByPhysics``: distance that each joint was moved, -1
-  where nothing was measured
+- ``movedByCorrection``, ``movedByPhysics``: distances; -1 where nothing was measured
 - ``uncertainty``: standard deviation of each coordinate of a joint, relative to the
   hips; -1 where unknown
 - ``contacts``: which of ``contactNames`` are on the floor
-- ``externalForce``: force from neither muscles nor floor, in body weights; no sample
-  without physics
+- ``externalForce``: in body weights, from neither muscles nor floor; no sample without
+  physics
 
-These describe the whole take and are left out where unknown:
+Attributes of the whole take, left out where unknown:
 
 - ``sensorTilt``: angle [rad] by which the take was turned about the sensor's x axis,
   positive where the floor rose away from the sensor: ``y cos - z sin`` is up
-- ``sensorRoll``: angle [rad] by which the take was turned about z before that, from x
-  to y; left out if 0
+- ``sensorRoll``: angle [rad] by which it was turned about z before that, from x to y;
+  left out if 0
 - ``floorHeight``: height of the floor in the leveled take, which was then subtracted
 - ``root``: root motion that was kept, ``travel``, ``in-place`` or ``none``; planted
   feet are still only with ``travel``
@@ -52,25 +51,12 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
+from . import usd_character
 from .export import PER_CLIP, PER_FRAME, Export, name_tables, whole_rate
 from .files import atomic_path
 from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
-from .usd_character import (
-    ANIMATION,
-    CHARACTER,
-    SKELETON,
-    SKIN,
-    check_character,
-    define_character,
-    define_props,
-    define_skeleton,
-    joint_paths,
-    new_stage,
-    props_extent,
-    set_samples,
-    vectors,
-)
+from .usd_character import CHARACTER, SKELETON, SKIN, joint_paths, set_samples, vectors
 
 _STAMP = (1980, 1, 2, 0, 0, 0, 0, 0, -1)
 """Local time of the file in a package, which zip stores, so that equal clips give equal
@@ -121,10 +107,12 @@ def _character_reference(
     if export.character is None:
         return None
     if export.character.exists():
-        check_character(export.character, rig_of(clip.body), export)
+        usd_character.check_character(export.character, rig_of(clip.body), export)
     else:
-        stage = new_stage(files.enter_context(atomic_path(export.character)), export)
-        define_character(stage, clip.body, export)
+        stage = usd_character.new_stage(
+            files.enter_context(atomic_path(export.character)), export
+        )
+        usd_character.define_character(stage, clip.body, export)
         stage.GetRootLayer().Save()
     relative = os.path.relpath(export.character.resolve(), path.parent.resolve())
     return f"./{Path(relative).as_posix()}"
@@ -136,18 +124,18 @@ def _write_layer(
     """Write a clip to a layer, with its character unless it references one."""
     rate = export.fps or whole_rate(clip.fps)
     codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
-    stage = new_stage(path, export)
+    stage = usd_character.new_stage(path, export)
     layer = stage.GetRootLayer()
     stage.SetTimeCodesPerSecond(rate)
     stage.SetFramesPerSecond(rate)
     stage.SetStartTimeCode(0.0)
     stage.SetEndTimeCode(float(codes[-1]))
     if export.rig is not None:
-        define_skeleton(stage, moved.rig, export)
+        usd_character.define_skeleton(stage, moved.rig, export)
         clip = replace(clip, props=())
     elif reference is None:
-        define_character(stage, clip.body, export)
-    define_props(stage, clip, export, codes)
+        usd_character.define_character(stage, clip.body, export)
+    usd_character.define_props(stage, clip, export, codes)
     _write_animation(stage, moved, export, codes)
     # Once saved, a binary layer reads its samples from the file: an hour of them would
     # not fit into memory beside the clip.
@@ -173,14 +161,14 @@ def _write_animation(
     to frame, for readers that interpolate the components.
     """
     rig, layer = moved.rig, stage.GetRootLayer()
-    animation = UsdSkel.Animation.Define(stage, ANIMATION)
+    animation = UsdSkel.Animation.Define(stage, usd_character.ANIMATION)
     animation.CreateJointsAttr(joint_paths(rig))
     ones = np.ones((len(rig), 3), dtype=np.float16)
     animation.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(ones))
     translations = animation.CreateTranslationsAttr().GetPath()
     rotations = animation.CreateRotationsAttr().GetPath()
     binding = UsdSkel.BindingAPI.Apply(stage.OverridePrim(SKELETON))
-    binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
+    binding.CreateAnimationSourceRel().SetTargets([usd_character.ANIMATION])
     rest = export.points(rig.at_rest[0])
     last = rig.local_rotations(moved.rotations[:1])
     for some in chunks(len(codes), FRAMES_AT_ONCE):
@@ -213,7 +201,10 @@ def _write_extents(
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)
         skin[some, 1] = (points + margins).max(axis=1)
-    extents = {SKELETON: joints, CHARACTER: props_extent(clip, export, skin)}
+    extents = {
+        SKELETON: joints,
+        CHARACTER: usd_character.props_extent(clip, export, skin),
+    }
     if export.rig is None:
         extents[SKIN] = skin
     for path, boxes in extents.items():

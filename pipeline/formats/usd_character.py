@@ -25,7 +25,6 @@ CHARACTER = "/Character"
 SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
-
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
@@ -130,12 +129,11 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
 
 
 def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
-    """Define a mesh whose faces all have C corners, shape (F, C)."""
     mesh = UsdGeom.Mesh.Define(stage, path)
-    corners = faces.astype(np.int32)
+    corners = faces.astype(np.int32).ravel()
     mesh.CreatePointsAttr(vectors(points))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), corners.shape[1]))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(*faces.shape))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     return mesh
 

@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 
-from kinefilter.characters import (
-    Clip,
-    InputError,
-    Prop,
-    Shape,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import Clip, InputError, Prop, Shape, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import (
     about_x,
