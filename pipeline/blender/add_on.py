@@ -45,8 +45,8 @@ def _run(
 ) -> Generator[None, None, str]:
     """Run the command line, yield until it has ended, and return what it printed.
 
-    Closing the generator kills the process and its children. Temporary files are
-    written to the folder.
+    Closing the generator kills the process and its children. Temporary files are in
+    ``folder``.
     """
     executable = shutil.which(program)
     if executable is None:
@@ -131,8 +131,7 @@ class _Options:
     body: bpy.props.IntProperty(
         name="Body",
         min=0,
-        description="Number of the person in the take, from 1; 0 is the person who is "
-        "visible in most frames",
+        description="Number of the person, from 1; 0 is the person seen in most frames",
     )
     options: bpy.props.StringProperty(
         name="Options",

@@ -53,10 +53,7 @@ def rest_pose(armature: Any) -> str:
 
 
 def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
-    """Import a GLB with its keys on whole frames at ``fps``; return its armature.
-
-    ``own`` is true for kinefilter's own skeleton, false for other rigs.
-    """
+    """Import a GLB on kinefilter's own skeleton or a rig, with its keys on frames."""
     if context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
     before, render = set(bpy.data.objects), context.scene.render
@@ -71,13 +68,13 @@ def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
     finally:
         render.fps_base = base
     new = set(bpy.data.objects) - before
-    (armature,) = [thing for thing in new if thing.type == "ARMATURE"]
-    for thing in new:
-        if thing.animation_data is None:
+    (armature,) = [obj for obj in new if obj.type == "ARMATURE"]
+    for obj in new:
+        if obj.animation_data is None:
             continue
-        for track in [*thing.animation_data.nla_tracks]:
-            thing.animation_data.nla_tracks.remove(track)
-        for curve in _curves(thing):
+        for track in [*obj.animation_data.nla_tracks]:
+            obj.animation_data.nla_tracks.remove(track)
+        for curve in _curves(obj):
             keys = _points(curve)["co"]
             frames = np.rint(keys[:, 0])
             near = np.abs(keys[:, 0] - frames) < _NEAR
@@ -92,8 +89,8 @@ def imported(context: Any, clip: Path, fps: float, *, own: bool) -> Any:
     return armature
 
 
-def _curves(thing: Any) -> Any:
-    action = thing.animation_data.action
+def _curves(obj: Any) -> Any:
+    action = obj.animation_data.action
     if hasattr(action, "fcurves"):  # up to Blender 4
         return action.fcurves
     return action.layers[0].strips[0].channelbags[0].fcurves
@@ -111,8 +108,7 @@ def _points(curve: Any) -> dict[str, Any]:
 def transferred(source: Any, target: Any) -> Any:
     """Move the action of an armature to one with the same bones; return that one.
 
-    Their rest poses may differ in the axes of the bones and in scale. The source is
-    deleted.
+    Their rest poses may differ in axes and scale. The source is deleted.
     """
     scale = target.matrix_world.median_scale
     lengths = [_length(armature, source.data.bones) for armature in (target, source)]
@@ -141,8 +137,8 @@ def transferred(source: Any, target: Any) -> Any:
 def _length(armature: Any, bones: Any) -> float:
     """Return the total length [m] of an armature's bones of these names."""
     named = [armature.data.bones[bone.name] for bone in bones if bone.parent]
-    ways = [bone.head_local - bone.parent.head_local for bone in named]
-    return sum(way.length for way in ways) * armature.matrix_world.median_scale
+    length = sum((bone.head_local - bone.parent.head_local).length for bone in named)
+    return length * armature.matrix_world.median_scale
 
 
 def _turn(curves: dict[Any, Any], path: str, axes: Any, matrix: Any) -> None:
@@ -163,10 +159,7 @@ def _turn(curves: dict[Any, Any], path: str, axes: Any, matrix: Any) -> None:
 def show_reliability(
     armature: Any, extras: dict[str, Any], fps: float, colors: Sequence[Sequence[float]]
 ) -> None:
-    """Color bones by mean reliability, and animate it as a custom property of each.
-
-    Unknown reliability counts as 0.
-    """
+    """Color bones by mean reliability, and animate it as a property; unknown is 0."""
     rows = np.delete(np.array(extras["reliability"]), extras["held"], axis=0)
     shares = np.maximum(rows, 0.0) / 100.0
     points = np.empty((len(shares), 2), dtype=np.float32)

@@ -44,12 +44,12 @@ def write_extension(path: AnyPath) -> None:
         "targets": [rig for rig in RIGS if not load_rig_map(rig).axes_in_bvh],
         "colors": reliability_colors(np.linspace(0.0, 1.0, _COLORS)).tolist(),
     }
-    here = Path(__file__).parent
     files = {
         "blender_manifest.toml": _MANIFEST.format(version=version("kinefilter")),
         "known.json": json.dumps(data),
-        **{name: (here / file).read_text("utf-8") for name, file in _FILES.items()},
     }
+    for name, source in _FILES.items():
+        files[name] = Path(__file__).with_name(source).read_text("utf-8")
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, text in files.items():
             info = zipfile.ZipInfo(name, _EPOCH)

@@ -3,8 +3,7 @@
 Each layout is described where it is read: ``sheets`` (one row per frame), ``datasets``
 (NTU and MSR), ``azure``, ``keypoints``, ``bvh``, ``markers`` (C3D and TRC) and
 ``acclaim``. Readers accept repeated time stamps, dropped frames, and joints that are
-missing in some frames or in all. A person who reappears within 2 s and 0.5 m is the
-same person (``recording``).
+missing in some or all frames. A person who reappears within 2 s and 0.5 m is the same.
 """
 
 from .bvh import Bvh, read_bvh

@@ -2,10 +2,9 @@
 
     blender --background --python blender_fbx.py -- FOLDER FRAMES RATE IMPORTED
 
-FBX has y up and centimeters, as most programs that read it expect. The GLB has IMPORTED
-keyframes per second, so that each is one of Blender's frames; the FBX gets RATE frames
-per second. The end of standard input means that the caller is gone: the folder is
-removed.
+FBX has y up and centimeters, as most programs expect. The GLB has IMPORTED keyframes/s,
+so that each is one of Blender's frames; the FBX gets RATE frames/s. When standard input
+ends, the caller is gone: the folder is removed.
 """
 
 from __future__ import annotations
@@ -36,10 +35,8 @@ def _main(folder: str, frames: int, rate: float, imported: int) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps = imported
-    # Bones keep their axes in the GLB.
-    bpy.ops.import_scene.gltf(
-        filepath=str(Path(folder, "clip.glb")), bone_heuristic="BLENDER"
-    )
+    glb = str(Path(folder, "clip.glb"))
+    bpy.ops.import_scene.gltf(filepath=glb, bone_heuristic="BLENDER")  # keeps axes
     _to_centimeters(bpy)
     scene.unit_settings.scale_length = 1.0 / _CENTIMETERS
     scene.frame_start, scene.frame_end = 0, frames - 1
@@ -66,20 +63,20 @@ def _to_centimeters(bpy: Any) -> None:
 
     scale = Matrix.Scale(_CENTIMETERS, 4)
     turn = Matrix.Rotation(-math.pi / 2.0, 4, "X")
-    for thing in bpy.data.objects:
-        if thing.type == "ARMATURE":
+    for obj in bpy.data.objects:
+        if obj.type == "ARMATURE":
             # Unreal treats an armature with any other name as a bone.
-            thing.name = "Armature"
+            obj.name = "Armature"
             # FBX names the animation after the scene.
-            bpy.context.scene.name = thing.animation_data.nla_tracks[0].name
-            thing.data.transform(turn @ scale)
-            thing.data.update_tag()
-        elif thing.type == "MESH":
-            skinned = any(m.type == "ARMATURE" for m in thing.modifiers)
-            thing.data.transform(turn @ scale if skinned else scale)
-        elif thing.parent is None or thing.parent.type == "ARMATURE":
-            thing.matrix_basis = turn @ thing.matrix_basis
-        thing.location *= _CENTIMETERS
+            bpy.context.scene.name = obj.animation_data.nla_tracks[0].name
+            obj.data.transform(turn @ scale)
+            obj.data.update_tag()
+        elif obj.type == "MESH":
+            skinned = any(m.type == "ARMATURE" for m in obj.modifiers)
+            obj.data.transform(turn @ scale if skinned else scale)
+        elif obj.parent is None or obj.parent.type == "ARMATURE":
+            obj.matrix_basis = turn @ obj.matrix_basis
+        obj.location *= _CENTIMETERS
     for curve in _curves(bpy):
         if curve.data_path.endswith("location"):
             for key in curve.keyframe_points:

@@ -49,16 +49,14 @@ _WRITABLE = (*USD_SUFFIXES, ".glb", ".vrma", ".fbx", ".bvh", ".csv", ".npz")
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
     check_folder(path)
-    suffix = Path(path).suffix.lower()
-    if suffix not in _WRITABLE:
+    suffix = Path(path).suffix
+    if suffix.lower() not in _WRITABLE:
         known = ", ".join(_WRITABLE)
-        raise InputError(
-            f"{path}: unknown extension {Path(path).suffix!r}; known: {known}"
-        )
+        raise InputError(f"{path}: unknown extension {suffix!r}; known: {known}")
     if export is None:
         return
-    export.check(suffix)
-    if suffix == ".fbx":
+    export.check(suffix.lower())
+    if suffix.lower() == ".fbx":
         blender_command(export.blender)
     if layer := export.character:
         if layer.suffix.lower() not in USD_SUFFIXES[:3]:
@@ -155,9 +153,8 @@ def read_clip(path: AnyPath) -> Clip:
         if clip is not None:
             return clip
     elif not name.endswith(".csv"):
-        raise InputError(
-            f"{path}: unknown extension for a clip; known: {', '.join(_READABLE)}"
-        )
+        known = ", ".join(_READABLE)
+        raise InputError(f"{path}: unknown extension for a clip; known: {known}")
     return _clip_of_take(read_take(path))
 
 

@@ -70,6 +70,8 @@ _RANGES = {"fps": (1.0, 1000.0, "frames/s"), "keys": (0.01, 100.0, "mm")}
 """Lowest and highest value of a number, and its unit; others are taken for typos."""
 _RATE_TOLERANCE = 0.005  # relative; time stamps jitter
 _END = 1e-6  # of a frame: tolerance, so that rounding does not lose the last frame
+_ERRORS: tuple[type[Exception], ...]
+_ERRORS = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 _LONGEST_HELD = 600.0  # s of standing still in all; nobody animates that. A guess
 _INTERPOLATED = ("root", "reliability", *LENGTHS, "external_force")
 _NEAREST = ("state", "deciding_term", "contacts")
@@ -96,13 +98,11 @@ class Export:
     """End of the clip, in seconds after the take's first frame."""
     loop: bool = False
     """Blend the end of the clip into its beginning: the last frame has the posture of
-    the first, wherever the person has moved and turned by then. Planted feet stay
-    put."""
+    the first, wherever the person has gone and faces by then. Planted feet stay put."""
     root: Travel = "travel"
-    """Root motion. travel keeps all of it; on a rig with a root bone on the floor, such
-    as unreal's, that bone travels and turns. in-place keeps only the turns, for games
-    that move the character themselves. none keeps the hips over the origin, facing
-    +z."""
+    """Root motion: travel keeps all of it (on a rig with a root bone on the floor, such
+    as unreal's, that bone travels and turns); in-place keeps only turns, for games that
+    move the character themselves; none keeps the hips over the origin, facing +z."""
     keys: float | None = None
     """Keep only the keyframes of GLB that smooth curves need to put every joint within
     this distance [mm] of its place, and within half a degree per mm of its rotation."""
@@ -113,8 +113,8 @@ class Export:
     """Order of BVH's Euler angles, which are intrinsic: about the first axis, then the
     rotated second, then the rotated third."""
     character: Path | None = None
-    """USD layer with the skeleton and mesh, which the USD clip then references. It is
-    created if it does not exist. By default the clip contains both itself."""
+    """USD layer with the skeleton and mesh, which the USD clip references; it is made
+    if it does not exist. By default the clip contains both itself."""
     rig: str | None = None
     """Skeleton to retarget to, in USD, GLB, FBX, BVH and npz: mixamo, unreal (Manny,
     Quinn), unreal4, unity, vrm, smpl, smplx, lafan1, rigify, or your own map (.toml)
@@ -319,12 +319,12 @@ def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
 
 
 @contextmanager
-def refused(path: str, wrong: str, *errors: type[Exception]) -> Iterator[None]:
+def refused(path: str, wrong: str, *others: type[Exception]) -> Iterator[None]:
     """Turn errors that a damaged file causes into InputErrors that name the file."""
     try:
         yield
     except InputError as error:
         text = str(error)
         raise InputError(text if path in text else f"{path}: {text}") from None
-    except (AttributeError, LookupError, RuntimeError, TypeError, ValueError, *errors):
+    except _ERRORS + others:
         raise InputError(f"{path}: {wrong}") from None

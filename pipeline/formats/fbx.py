@@ -8,7 +8,6 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from .rig import RigMotion
 
 _KEYS = 24  # keyframes/s: Blender's default rate, so that each is one of its frames
 _SECONDS, _PER_FRAME = 120.0, 0.05
-"""Time [s] that Blender may take for any clip, and in addition for each frame: forty
-times what it needs. A guess."""
+"""Time limit [s] of Blender, for any clip and for each frame in addition: forty times
+what it needs. A guess."""
 _SCRIPT = Path(__file__).with_name("blender_fbx.py")
 
 
@@ -45,7 +44,7 @@ def blender_command(blender: str | None) -> list[str]:
     return [program, *flags, "--python", str(_SCRIPT), "--"]
 
 
-def write_fbx(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
+def write_fbx(clip: Clip, motion: RigMotion, path: AnyPath, export: Export) -> None:
     """Write a clip with even frames as FBX, whole or not at all.
 
     Skeleton, skin, animation and props are those of GLB, in centimeters, y up. Raises
@@ -58,7 +57,7 @@ def write_fbx(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
         atomic_path(path) as temporary,
         tempfile.TemporaryDirectory(prefix="kinefilter-") as folder,
     ):
-        write_glb([(keyed, moved)], Path(folder) / "clip.glb", export)
+        write_glb([(keyed, motion)], Path(folder) / "clip.glb", export)
         fbx = Path(folder) / "clip.fbx"
         numbers = map(repr, (len(clip), export.fps or clip.fps, _KEYS))
         lines = _run([*command, folder, *numbers], timeout, path)
@@ -75,10 +74,14 @@ def write_fbx(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> No
 def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
     """Return the lines that a command prints; it ends when this process ends."""
     standard_input, held_open = os.pipe()  # at its end, the script exits
-    output: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     try:
         ran = subprocess.run(
-            command, stdin=standard_input, timeout=timeout, check=False, **output
+            command,
+            stdin=standard_input,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=timeout,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         raise InputError(

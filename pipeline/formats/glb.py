@@ -60,18 +60,18 @@ def write_glb(
     """
     glb, extras = _Document(), list[dict[str, Any]]()
     start = min(clip.time[0] for clip, _ in people)
-    for clip, moved in people:
+    for clip, motion in people:
         rows, stamps, held = _keys(clip, start)
         glb.begin(stamps)
-        _add_person(glb, clip, moved, rows, export)
+        _add_person(glb, clip, motion, rows, export)
         if not extras and export.rig is None and clip.props:
             _add_props(glb, clip.props, rows)
-        once = {"root": export.root, "turnedBy": dict(moved.turned_by)}
+        once = {"root": export.root, "turnedBy": dict(motion.turned_by)}
         extras.append(_provenance(clip, rows, held) | once)
     if len(people) > 1:
         for number, skin in enumerate(glb.lists["skins"], start=1):
             skin["name"] = f"Person {number}"
-    clip, moved = people[0]
+    clip, motion = people[0]
     takes = clip.source.split(" + ")  # of a session, with their folders
     animation = {
         "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
@@ -88,7 +88,7 @@ def write_glb(
         "buffers": [{"byteLength": len(glb.data)}],
     }
     if Path(path).suffix.lower() == ".vrma":
-        bones = {name: {"node": n} for n, name in enumerate(moved.rig.names)}
+        bones = {name: {"node": n} for n, name in enumerate(motion.rig.names)}
         humanoid = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
         document |= {"extensions": {_VRMA: humanoid}, "extensionsUsed": [_VRMA]}
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
@@ -173,16 +173,16 @@ class _Document:
 
 
 def _add_person(
-    glb: _Document, clip: Clip, moved: RigMotion, rows: Indices, export: Export
+    glb: _Document, clip: Clip, motion: RigMotion, rows: Indices, export: Export
 ) -> None:
-    nodes, rig = glb.lists["nodes"], moved.rig
+    nodes, rig = glb.lists["nodes"], motion.rig
     first = len(nodes)
     glb.scene.append(first)
     nodes += [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
     for n, parent in enumerate(rig.parents[1:], start=1):
         nodes[first + parent].setdefault("children", []).append(first + n)
-    turns = _local_rotations(moved, rows)
-    paths = {node: places[rows] for node, places in moved.places.items()}
+    turns = _local_rotations(motion, rows)
+    paths = {node: places[rows] for node, places in motion.places.items()}
     if export.keys is None or len(rows) < 2:
         for node, places in paths.items():
             glb.move(first + node, "translation", places)
@@ -231,13 +231,11 @@ def _add_props(glb: _Document, props: Sequence[Prop], rows: Indices) -> None:
 
 
 def _keys(clip: Clip, start: float) -> tuple[Indices, Array, list[int]]:
-    """Return the frame and the time since ``start`` [s] of each keyframe.
-
-    Also the indices of keyframes that are not frames, but end long gaps.
-    """
+    """Return each keyframe's frame and time since the start [s], and those held."""
     stamps = key_times(clip.time.round(_DECIMALS), round(start, _DECIMALS))
     rows = np.flatnonzero(np.append(np.diff(stamps) > 0.0, True))
     stamps = stamps[rows]
+    # Each long gap ends with a keyframe that holds the frame before it.
     starts = np.array([part.start for part in parts_of(stamps)[1:]], dtype=int)
     ends = np.asarray((stamps[starts] - 1.0 / clip.fps).astype(np.float32))
     # Days after the start, single precision may have no number between two frames.
@@ -287,11 +285,11 @@ def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
     return {"attributes": attributes, "indices": corners}
 
 
-def _local_rotations(moved: RigMotion, rows: Indices) -> NDArray[Any]:
+def _local_rotations(motion: RigMotion, rows: Indices) -> NDArray[Any]:
     """Return every node's rotation relative to its parent, wxyz, (K, N, 4)."""
-    local = np.empty((len(rows), len(moved.rig), 4))
+    local = np.empty((len(rows), len(motion.rig), 4))
     for some in chunks(len(rows), FRAMES_AT_ONCE):
-        local[some] = moved.rig.local_rotations(moved.rotations[rows[some]])
+        local[some] = motion.rig.local_rotations(motion.rotations[rows[some]])
     return continuous(local)
 
 

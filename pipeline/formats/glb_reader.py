@@ -46,7 +46,7 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
     """
     with refused(os.fspath(path), DAMAGED, *_ERRORS), np.errstate(all="ignore"):
         document, data = _chunks(check_file(path))
-        _, animation = _animated(document)
+        _, animation = _skin_and_animation(document)
         nodes, skins = document["nodes"], document["skins"]
         names = [[str(nodes[n]["name"]) for n in skin["joints"]] for skin in skins]
         extras = animation.get("extras", {}).get("kinefilter")
@@ -57,7 +57,9 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
         return names, _values(document, data, index).astype(float).ravel()
 
 
-def _animated(document: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _skin_and_animation(
+    document: dict[str, Any],
+) -> tuple[dict[str, Any], dict[str, Any]]:
     if not document.get("skins") or not document.get("animations"):
         raise InputError("has no animated skeleton; expected a clip of kinefilter")
     return document["skins"][0], document["animations"][0]
@@ -80,24 +82,17 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
-    nodes, (skin, animation) = document["nodes"], _animated(document)
+    nodes, (skin, animation) = document["nodes"], _skin_and_animation(document)
     extras = animation.get("extras", {}).get("kinefilter")
     joints = skin["joints"]
     skeleton = own_skeleton([nodes[n]["name"] for n in joints])
     if skeleton is None:
-        raise InputError(
-            "is on another skeleton than the sensor's; give a clip that was written "
-            "without --rig"
-        )
+        raise InputError("is on another skeleton; give a clip written without --rig")
     if extras is None or joints != list(range(len(joints))):
-        raise InputError(
-            "lacks kinefilter's data in extras; give the file as kinefilter wrote it"
-        )
+        raise InputError("lacks kinefilter's extras; give the file as it was written")
     if "people" in extras:
-        raise InputError(
-            f"holds {len(extras['people'])} people; give a clip of one person, which "
-            "--body all writes without --one-file"
-        )
+        count = len(extras["people"])
+        raise InputError(f"holds {count} people; write one each, without --one-file")
     for name, table in name_tables(skeleton).items():
         if extras[name] != table:
             raise InputError(f"its {name} are not kinefilter's; export it again")
@@ -113,7 +108,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
     # Frames with the same stamp share a keyframe.
     kept = kept[np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)]
 
-    def moved(node: int, what: str) -> Array:
+    def animated(node: int, what: str) -> Array:
         rows = np.array([nodes[node][what]], dtype=float)
         if sampler := samplers.get((node, what)):
             rows = values(sampler["output"]).astype(float)
@@ -127,10 +122,10 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
                 rows = rows[kept]
         return _wxyz(rows) if what == "rotation" else rows
 
-    turns = np.stack([moved(n, "rotation") for n in joints], axis=1)
+    turns = np.stack([animated(n, "rotation") for n in joints], axis=1)
     world = rig_of(standard_body(skeleton)).world_rotations(turns)
     offsets = np.array([nodes[n]["translation"] for n in joints], dtype=float)
-    root = moved(0, "translation")
+    root = animated(0, "translation")
     motion = motion_of_rig(skeleton, offsets, world, root, time, path)
     height, mass = float(extras["height"]), float(extras["mass"])
     motion = replace(motion, body=replace(motion.body, height=height, mass=mass))
@@ -139,7 +134,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
     for n in nodes[last].get("children", ()) if nodes[last]["name"] == "Props" else ():
         parts = [nodes[part] for part in nodes[n].get("children", ())]
         shapes = tuple(_shape(part, document, values) for part in parts)
-        place = moved(n, "translation"), moved(n, "rotation")
+        place = animated(n, "translation"), animated(n, "rotation")
         props.append(Prop(nodes[n]["name"], shapes, *place))
     return Clip.of(motion, **_provenance(extras, kept), props=tuple(props))
 

@@ -1,8 +1,7 @@
 """Keyframe reduction: curves through a few of a clip's frames, close to all others.
 
-Each curve is a cubic spline through its keys, with continuous acceleration and zero
-slope at both ends. Blender ignores the tangents in glTF, but the automatic handles that
-it gives to keys make the same curves.
+Each curve is a cubic spline with zero slope at both ends. Blender ignores the tangents
+in glTF, but the automatic handles that it gives to keys make the same curves.
 """
 
 from __future__ import annotations
@@ -89,10 +88,7 @@ def sparse_curves(
 
 
 def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
-    """Return times [s] with missing frames, the frame before each, and the share.
-
-    That is how far it is on the way to the next frame, from 0 to 1.
-    """
+    """Return times [s] with missing frames, the frame before each, and how far on."""
     count = np.maximum(np.rint(np.diff(stamps) / step), 1.0).astype(int)
     before = np.append(np.repeat(np.arange(len(count)), count), len(count))
     first = np.append(0, np.cumsum(count))

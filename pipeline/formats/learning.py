@@ -27,18 +27,16 @@ _PARTS_X = {"pose_jaw": (22, 23), "pose_eye": (23, 25), "pose_hand": (25, 55)}
 _BETAS = 16  # as many as in AMASS; zeros are the average body
 
 
-def write_joints(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
+def write_joints(clip: Clip, motion: RigMotion, path: AnyPath, export: Export) -> None:
     """Write the world positions and orientations of a rig's joints as npz.
 
-    ``global_joint_positions`` [m] (T, J, 3) and ``global_joint_orientations`` wxyz
-    (T, J, 4), ``joint_names``, ``parents`` (-1 for the root), ``fps`` and the person's
-    ``height`` [m]; for SMPL and SMPL-X also the arrays of AMASS. Raises InputError if
-    the file cannot be written.
+    For SMPL and SMPL-X also the arrays of AMASS; CONVENTIONS.md lists all of them.
+    Raises InputError if the file cannot be written.
     """
-    rig, rate = moved.rig, export.fps or clip.fps
-    turns = moved.rotations
+    rig, rate = motion.rig, export.fps or clip.fps
+    turns = motion.rotations
     world = turns if rig.axes is None else multiply(turns, rig.axes)
-    places = rotate(_TO_Z_UP, moved.positions)
+    places = rotate(_TO_Z_UP, motion.positions)
     arrays: dict[str, Any] = {
         "global_joint_positions": places,
         "global_joint_orientations": multiply(_TO_Z_UP, world),

@@ -132,8 +132,8 @@ def rig_of(body: Body) -> Rig:
 
 def own_skeleton(names: Sequence[str]) -> Skeleton | None:
     """Return the skeleton whose rig has nodes with these names, or None."""
-    known = {rig_of(standard_body(s)).names: s for s in SKELETONS.values()}
-    return known.get(tuple(names))
+    skeletons = {rig_of(standard_body(s)).names: s for s in SKELETONS.values()}
+    return skeletons.get(tuple(names))
 
 
 def motion_of_rig(
@@ -186,10 +186,7 @@ def own_motion(clip: Clip) -> RigMotion:
 def retargeted_motion(
     target: TargetRig, motion: Retargeted, skeleton: Skeleton, travel: Travel = "travel"
 ) -> RigMotion:
-    """Return a retargeted motion, keeping as much root motion as ``travel`` says.
-
-    ``skeleton`` is the sensor's. Every node of the target rotates on its own.
-    """
+    """Return a motion of the sensor's skeleton on a target, with the root motion."""
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0

@@ -6,28 +6,11 @@
 With a rig it has only skeleton and animation: the rig has its own skin, and the props
 are within reach of our proportions, not of the rig's.
 
-Attributes ``kinefilter:NAME`` of ``/Character`` with a sample per frame, arrays in the
-order of ``joints``, lengths in meters whatever the stage's unit:
-
-- ``reliability``: of each joint's measurement, in [0, 1]; ``decidingTerm`` is the term
-  that decided it, an index into ``decidingTermNames``
-- ``origin``: where each joint came from, an index into ``originNames``
-- ``movedByCorrection``, ``movedByPhysics``: distances; -1 where nothing was measured
-- ``uncertainty``: standard deviation of each coordinate of a joint, relative to the
-  hips; -1 where unknown
-- ``contacts``: which of ``contactNames`` are on the floor
-- ``externalForce``: in body weights, from neither muscles nor floor; no sample without
-  physics
-
-Attributes of the whole take, left out where unknown:
-
-- ``sensorTilt``: angle [rad] by which the take was turned about the sensor's x axis,
-  positive where the floor rose away from the sensor: ``y cos - z sin`` is up
-- ``sensorRoll``: angle [rad] by which it was turned about z before that, from x to y;
-  left out if 0
-- ``floorHeight``: height of the floor in the leveled take, which was then subtracted
-- ``root``: root motion that was kept, ``travel``, ``in-place`` or ``none``; planted
-  feet are still only with ``travel``
+Provenance is in attributes ``kinefilter:NAME`` of ``/Character``, with the names and
+meanings of GLB's ``extras`` (CONVENTIONS.md), but fractions and meters instead of
+percent and millimeters, whatever the stage's unit; -1 where unknown. ``externalForce``
+has no sample without physics. ``sensorTilt``, ``floorHeight`` and ``sensorRoll`` are
+left out where unknown, or if there was no roll.
 """
 
 from __future__ import annotations
@@ -51,7 +34,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
-from . import usd_character
+from . import usd_character as parts
 from .export import PER_CLIP, PER_FRAME, Export, name_tables, whole_rate
 from .files import atomic_path
 from .recording import FRAMES_AT_ONCE
@@ -65,15 +48,12 @@ _CODE_DECIMALS = 6  # of a frame: removes rounding errors from whole frames
 _UNKNOWN = -1.0
 
 
-def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
+def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
-    A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
-    Frames with the same time share the sample of the last one. An additional sample
-    without provenance ends each long gap, so that the character holds still until then.
-    ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package with
-    one binary layer. Raises InputError if the file cannot be written, or if the
-    character does not match.
+    CONVENTIONS.md describes the time codes. ``.usda`` is text, ``.usdc`` and ``.usd``
+    are binary, ``.usdz`` is a package with one binary layer. Raises InputError if the
+    file cannot be written, or if the character does not match.
     """
     suffix = path.suffix.lower()
     try:
@@ -85,7 +65,7 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
                 folder = files.enter_context(tempfile.TemporaryDirectory())
                 layer = Path(folder) / "clip.usdc"
             reference = _character_reference(clip, path, export, files)
-            _write_layer(clip, moved, layer, export, reference)
+            _write_layer(clip, motion, layer, export, reference)
             if suffix == ".usda":
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
             elif suffix == ".usdz":
@@ -107,40 +87,40 @@ def _character_reference(
     if export.character is None:
         return None
     if export.character.exists():
-        usd_character.check_character(export.character, rig_of(clip.body), export)
+        parts.check_character(export.character, rig_of(clip.body), export)
     else:
-        stage = usd_character.new_stage(
+        stage = parts.new_stage(
             files.enter_context(atomic_path(export.character)), export
         )
-        usd_character.define_character(stage, clip.body, export)
+        parts.define_character(stage, clip.body, export)
         stage.GetRootLayer().Save()
     relative = os.path.relpath(export.character.resolve(), path.parent.resolve())
     return f"./{Path(relative).as_posix()}"
 
 
 def _write_layer(
-    clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
+    clip: Clip, motion: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
     """Write a clip to a layer, with its character unless it references one."""
     rate = export.fps or whole_rate(clip.fps)
     codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
-    stage = usd_character.new_stage(path, export)
+    stage = parts.new_stage(path, export)
     layer = stage.GetRootLayer()
     stage.SetTimeCodesPerSecond(rate)
     stage.SetFramesPerSecond(rate)
     stage.SetStartTimeCode(0.0)
     stage.SetEndTimeCode(float(codes[-1]))
     if export.rig is not None:
-        usd_character.define_skeleton(stage, moved.rig, export)
+        parts.define_skeleton(stage, motion.rig, export)
         clip = replace(clip, props=())
     elif reference is None:
-        usd_character.define_character(stage, clip.body, export)
-    usd_character.define_props(stage, clip, export, codes)
-    _write_animation(stage, moved, export, codes)
+        parts.define_character(stage, clip.body, export)
+    parts.define_props(stage, clip, export, codes)
+    _write_animation(stage, motion, export, codes)
     # Once saved, a binary layer reads its samples from the file: an hour of them would
     # not fit into memory beside the clip.
     layer.Save()
-    _write_extents(layer, clip, moved, export, codes)
+    _write_extents(layer, clip, motion, export, codes)
     layer.Save()
     _hold_still(layer, clip, codes)
     _write_provenance(layer, clip, codes, export.root)
@@ -153,30 +133,30 @@ def _write_layer(
 
 
 def _write_animation(
-    stage: Any, moved: RigMotion, export: Export, codes: Array
+    stage: Any, motion: RigMotion, export: Export, codes: Array
 ) -> None:
     """Write the local translations and rotations of the nodes in each frame.
 
     Rotations are xyzw, as Gf stores quaternions, and do not flip their sign from frame
     to frame, for readers that interpolate the components.
     """
-    rig, layer = moved.rig, stage.GetRootLayer()
-    animation = UsdSkel.Animation.Define(stage, usd_character.ANIMATION)
+    rig, layer = motion.rig, stage.GetRootLayer()
+    animation = UsdSkel.Animation.Define(stage, parts.ANIMATION)
     animation.CreateJointsAttr(joint_paths(rig))
     ones = np.ones((len(rig), 3), dtype=np.float16)
     animation.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(ones))
     translations = animation.CreateTranslationsAttr().GetPath()
     rotations = animation.CreateRotationsAttr().GetPath()
     binding = UsdSkel.BindingAPI.Apply(stage.OverridePrim(SKELETON))
-    binding.CreateAnimationSourceRel().SetTargets([usd_character.ANIMATION])
+    binding.CreateAnimationSourceRel().SetTargets([parts.ANIMATION])
     rest = export.points(rig.at_rest[0])
-    last = rig.local_rotations(moved.rotations[:1])
+    last = rig.local_rotations(motion.rotations[:1])
     for some in chunks(len(codes), FRAMES_AT_ONCE):
-        local = rig.local_rotations(moved.rotations[some])
+        local = rig.local_rotations(motion.rotations[some])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
         places = np.tile(rest, (len(wxyz), 1, 1))
-        for node, path in moved.places.items():
+        for node, path in motion.places.items():
             places[:, node] = export.points(path[some])
         set_samples(layer, translations, codes[some], map(vectors, places))
         xyzw = np.roll(export.axes(wxyz), -1, axis=-1).astype(np.float32)
@@ -184,7 +164,7 @@ def _write_animation(
 
 
 def _write_extents(
-    layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
+    layer: Any, clip: Clip, motion: RigMotion, export: Export, codes: Array
 ) -> None:
     """Write the bounding boxes of joints, skin, and skin with props, in each frame."""
     joints = np.empty((len(clip), 2, 3))
@@ -197,14 +177,11 @@ def _write_extents(
         np.maximum.at(margins, parents, reach[segments])
         margins = margins[:, None] / export.meters_per_unit
     for some in chunks(len(clip), FRAMES_AT_ONCE):
-        points = export.points(moved.positions[some])
+        points = export.points(motion.positions[some])
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)
         skin[some, 1] = (points + margins).max(axis=1)
-    extents = {
-        SKELETON: joints,
-        CHARACTER: usd_character.props_extent(clip, export, skin),
-    }
+    extents = {SKELETON: joints, CHARACTER: parts.props_extent(clip, export, skin)}
     if export.rig is None:
         extents[SKIN] = skin
     for path, boxes in extents.items():

@@ -59,10 +59,8 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
     """Raise an InputError if clips of a rig cannot reference a character layer."""
     layer = _character(str(path), path.stat().st_mtime_ns)
     if layer["joints"].tolist() != joint_paths(rig):
-        raise InputError(
-            f"{path}: {SKELETON} does not have this take's joints; give --character "
-            "another name for this kind of sensor"
-        )
+        wrong = "does not have this take's joints; give --character another name"
+        raise InputError(f"{path}: {SKELETON} {wrong}")
     up, unit = str(layer["up"]), layer["unit"].item()
     if up != export.up or not np.isclose(unit, export.meters_per_unit):
         raise InputError(
@@ -144,10 +142,9 @@ def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
         return
     folder = UsdGeom.Xform.Define(stage, f"{CHARACTER}/Props").GetPath()
     for prop in clip.props:
-        name = Tf.MakeValidIdentifier(prop.name)
-        while stage.GetPrimAtPath(folder.AppendChild(name)):
-            name += "_"
-        path = folder.AppendChild(name)
+        path = folder.AppendChild(Tf.MakeValidIdentifier(prop.name))
+        while stage.GetPrimAtPath(path):
+            path = folder.AppendChild(f"{path.name}_")
         prim = UsdGeom.Xform.Define(stage, path)
         places, turns = export.points(prop.positions), export.axes(prop.rotations)
         _move(prim, places, turns, codes if prop.moves else None)

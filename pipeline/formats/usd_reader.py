@@ -77,9 +77,8 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
 def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
     """Return a clip that kinefilter wrote on its own skeleton, as npz stores it.
 
-    Axes and unit are converted back; frame rate and rest pose are the file's, and time
-    starts at 0. USD has neither the sensor's states, so all joints count as tracked,
-    nor stature and mass, which are derived from the segments.
+    Axes and unit are converted back, and time starts at 0. The sensor's states are
+    unknown, so all joints count as tracked; stature and mass come from the segments.
     """
     with refused(path, DAMAGED):
         stage, skeleton_prim, query, names, codes = _first_animated(path)
@@ -147,9 +146,7 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)
     if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
-        raise InputError(
-            f"{path}: a joint is mirrored or has zero scale at rest; apply its scale"
-        )
+        raise InputError(f"{path}: a joint is mirrored or has no size; apply its scale")
     axes = wxyz_from_matrix(turned / sizes)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         # Turning the world must not rename the axes of bones.
