@@ -40,9 +40,7 @@ class _UserError(Exception):
     """An error whose message is shown to the user."""
 
 
-def _run(
-    program: str, arguments: list[str], folder: Path
-) -> Generator[None, None, str]:
+def _run(program: str, args: list[str], folder: Path) -> Generator[None, None, str]:
     """Run the command line, yield until it has ended, and return what it printed.
 
     Closing the generator kills the process and its children. Temporary files are in
@@ -59,7 +57,7 @@ def _run(
     with output.open("wb") as out, errors.open("wb") as err:
         try:
             process = subprocess.Popen(
-                [executable, *arguments],
+                [executable, *args],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,

@@ -94,11 +94,12 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
         write_npz(clip, path)
     elif suffix in (".glb", ".vrma"):
         write_glb([(clip, _rig_motion(clip, export))], path, export)
+    elif suffix in USD_SUFFIXES:
+        from .usd import write_usd  # loads pxr, which is slow
+
+        write_usd(clip, _rig_motion(clip, export), path, export)
     else:
-        if suffix in USD_SUFFIXES:
-            from .usd import write_usd as write  # loads pxr, which is slow
-        else:
-            write = {".bvh": write_bvh, ".fbx": write_fbx, ".npz": write_joints}[suffix]
+        write = {".bvh": write_bvh, ".fbx": write_fbx, ".npz": write_joints}[suffix]
         write(clip, _rig_motion(clip, export), path, export)
 
 
@@ -237,7 +238,7 @@ def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
     places = bvh.rest_positions
     rest = RestPose(names, parents, places[joints], None, places[:, 1].min(), str(path))
     if rig_map.axes_in_bvh:
-        rest = _with_map_axes(rest, bvh.offsets[joints], rig_map, body)
+        rest = _with_axes(rest, bvh.offsets[joints], rig_map, body)
     if set(leg) <= set(plain):
         thigh, foot = (rest.positions[plain.index(name)] for name in leg)
         meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
@@ -245,9 +246,7 @@ def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
     return replace(rest, positions=meters * rest.positions, lowest=lowest)
 
 
-def _with_map_axes(
-    rest: RestPose, offsets: Array, rig_map: RigMap, body: Body
-) -> RestPose:
+def _with_axes(rest: RestPose, offsets: Array, rig_map: RigMap, body: Body) -> RestPose:
     """Pose a skeleton by a map's axes, which its BVH has in the motion."""
     built = built_rig(rig_map, body).rest
     if built.axes is None:

@@ -194,9 +194,9 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     held = sum(end - start for start, end in gaps)
     if held > _LONGEST_HELD:
         raise InputError(
-            f"{source}: {told_gaps(gaps, time[0])[0]}; holding still for {held:.4g} s "
-            f"in all would take {held * fps:.3g} frames at {fps:g} frames/s, expected "
-            f"{_LONGEST_HELD:g} s at most; split the take with --gaps split"
+            f"{source}: {told_gaps(gaps, time[0])[0]}; the character would hold still "
+            f"for {held:.4g} s in all, expected {_LONGEST_HELD:g} s at most; split the "
+            "take with --gaps split"
         )
     if count > MOST_FRAMES:
         raise InputError(

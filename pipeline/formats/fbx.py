@@ -63,10 +63,10 @@ def write_fbx(clip: Clip, motion: RigMotion, path: AnyPath, export: Export) -> N
         lines = _run([*command, folder, *numbers], timeout, path)
         if not fbx.is_file():
             errors = [line.strip() for line in lines if "Error" in line]
+            reason = errors[-1] if errors else "no error message"
             raise InputError(
-                f"{path}: Blender ({command[0]}) wrote no FBX "
-                f"({errors[-1] if errors else 'no error message'}); use Blender 4.2 or "
-                "later, or write .glb"
+                f"{path}: Blender ({command[0]}) wrote no FBX ({reason}); use Blender "
+                "4.2 or later, or write .glb"
             )
         shutil.copyfile(fbx, temporary)
 
@@ -84,10 +84,8 @@ def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise InputError(
-            f"{path}: Blender ({command[0]}) took over {timeout:.0f} s and was ended; "
-            "write .glb, or cut the take"
-        ) from None
+        wrong = f"took over {timeout:.0f} s and was ended; write .glb, or cut the take"
+        raise InputError(f"{path}: Blender ({command[0]}) {wrong}") from None
     except OSError as error:
         reason = f"cannot be run ({error.strerror})"
         raise InputError(f"--blender {command[0]}: {reason}") from None

@@ -24,6 +24,7 @@ from .files import AnyPath, check_file
 from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
+_Values = Callable[[int], NDArray[Any]]
 _ERRORS = (ArithmeticError, MemoryError, StopIteration, struct.error)
 
 
@@ -170,11 +171,7 @@ def _wxyz(xyzw: Array) -> Array:
     return normalize(np.roll(xyzw, 1, axis=-1))
 
 
-def _shape(
-    node: dict[str, Any],
-    document: dict[str, Any],
-    values: Callable[[int], NDArray[Any]],
-) -> Shape:
+def _shape(node: dict[str, Any], document: dict[str, Any], values: _Values) -> Shape:
     extras = node["extras"]
     points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.intp)
     if extras["kind"] == "mesh":

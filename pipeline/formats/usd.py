@@ -89,9 +89,8 @@ def _character_reference(
     if export.character.exists():
         parts.check_character(export.character, rig_of(clip.body), export)
     else:
-        stage = parts.new_stage(
-            files.enter_context(atomic_path(export.character)), export
-        )
+        layer = files.enter_context(atomic_path(export.character))
+        stage = parts.new_stage(layer, export)
         parts.define_character(stage, clip.body, export)
         stage.GetRootLayer().Save()
     relative = os.path.relpath(export.character.resolve(), path.parent.resolve())
@@ -116,7 +115,7 @@ def _write_layer(
     elif reference is None:
         parts.define_character(stage, clip.body, export)
     parts.define_props(stage, clip, export, codes)
-    _write_animation(stage, motion, export, codes)
+    _animate(stage, motion, export, codes)
     # Once saved, a binary layer reads its samples from the file: an hour of them would
     # not fit into memory beside the clip.
     layer.Save()
@@ -132,9 +131,7 @@ def _write_layer(
     layer.Save()
 
 
-def _write_animation(
-    stage: Any, motion: RigMotion, export: Export, codes: Array
-) -> None:
+def _animate(stage: Any, motion: RigMotion, export: Export, codes: Array) -> None:
     """Write the local translations and rotations of the nodes in each frame.
 
     Rotations are xyzw, as Gf stores quaternions, and do not flip their sign from frame

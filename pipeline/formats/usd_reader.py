@@ -84,10 +84,9 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         stage, skeleton_prim, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
-            raise InputError(
-                f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
-                "of kinefilter's own; write it without --rig or as .npz to read it"
-            )
+            first = ", ".join(names[:3])[:60]
+            wrong = f"its skeleton ({first}, ...) is not one of kinefilter's own"
+            raise InputError(f"{path}: {wrong}; write it without --rig, or as .npz")
         character = stage.GetPrimAtPath(CHARACTER)
         rated = character.GetAttribute("kinefilter:reliability")
         if rated and (frames := set(rated.GetTimeSamples())):
@@ -242,9 +241,8 @@ def _provenance(
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
     """Return a prim's positions (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
-    translate, orient = (
-        prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
-    )
+    translate = prim.GetAttribute("xformOp:translate")
+    orient = prim.GetAttribute("xformOp:orient")
     times = codes if translate.GetTimeSamples() else codes[:1]
     turns = [orient.Get(code) for code in times]
     wxyz = np.array([[turn.GetReal(), *turn.GetImaginary()] for turn in turns])
