@@ -55,7 +55,7 @@ WHOLE_CLIPS = (".npz", *USD_SUFFIXES, ".glb")
 """Files that hold a clip's provenance and can be read back."""
 _SPAN_AND_RATE = ("begin", "end", "loop", "root", "fps")
 _ANY_RIG = (*_SPAN_AND_RATE, "up", "units", "rest", "rig", "target")
-# The options that each kind of file supports; the others are always in meters, y up.
+# Options that each kind of file supports; without up and units: meters, y up.
 _OPTIONS = {
     **dict.fromkeys(USD_SUFFIXES, (*_ANY_RIG, "character")),
     ".usdz": _ANY_RIG,
@@ -72,7 +72,7 @@ _RATE_TOLERANCE = 0.005  # relative; time stamps jitter
 _END = 1e-6  # of a frame: tolerance, so that rounding does not lose the last frame
 _ERRORS: tuple[type[Exception], ...]
 _ERRORS = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
-_LONGEST_HELD = 600.0  # s of standing still in all; nobody animates that. A guess
+_LONGEST_HELD = 600.0  # s of standing still in all; longer is hardly meant. A guess
 _INTERPOLATED = ("root", "reliability", *LENGTHS, "external_force")
 _NEAREST = ("state", "deciding_term", "contacts")
 
