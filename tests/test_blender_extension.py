@@ -320,7 +320,7 @@ def test_blender_goes_on_meanwhile_and_shows_how_long_it_takes(
 ) -> None:
     assert told["meanwhile"] == ["PASS_THROUGH"]
     shown, timers = told["shown"]
-    assert shown[0] == "kinefilter cleans short.csv: 0 s (Esc cancels)"
+    assert shown[0] == "kinefilter: cleaning short.csv, 0 s (Esc to cancel)"
     assert "short.csv: 60 frames" in shown[-2]
     assert shown[-1] is None
     assert timers == []

@@ -163,7 +163,7 @@ def test_a_damaged_usd_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> N
     for old, new, words in (
         ('"measured", "corrected"', '"invented", "corrected"', "originNames"),
         ('"HipCenter", "Spine"', '"Spine", "HipCenter"', "kinefilter:joints"),
-        ("quatf[] rotations.timeSamples", "quatf[] turns.timeSamples", "not fit"),
+        ("quatf[] rotations.timeSamples", "quatf[] turns.timeSamples", "not match"),
     ):
         assert old in text
         (tmp_path / "odd.usda").write_text(text.replace(old, new))
@@ -174,7 +174,7 @@ def test_a_damaged_usd_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> N
 def test_what_is_no_clip_is_refused(tmp_path: Path) -> None:
     for name, words in (
         ("none.usda", "no such file"),
-        ("clip.fbx", r"extension; expected one of \.usda"),
+        ("clip.fbx", r"unknown extension for a clip; known: \.usda"),
         ("clip.usda", "cannot be read as USD"),
     ):
         if not name.startswith("none"):

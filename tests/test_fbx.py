@@ -70,7 +70,7 @@ def test_frames_are_even_and_the_rate_is_the_whole_one_that_the_stamps_mean(
     ("script", "words"),
     [
         ("print('Error: no such operator')\nprint('bye')", "Error: no such operator"),
-        ("raise SystemExit(3)", "made no FBX"),
+        ("raise SystemExit(3)", "wrote no FBX"),
         ("import time; time.sleep(600)", "took over 1 s and was ended"),
     ],
 )

@@ -170,7 +170,7 @@ def test_errors_that_nobody_means_are_refused(keys: float) -> None:
 def test_formats_with_a_key_in_every_frame_say_what_has_fewer(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=r"--keys means nothing to a \.usda.*\.glb"):
+    with pytest.raises(InputError, match=r"--keys does not apply to \.usda.*\.glb"):
         write_clip(make_clip(3, KINECT_V2), tmp_path / "clip.usda", Export(keys=1.0))
 
 

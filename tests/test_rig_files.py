@@ -297,12 +297,12 @@ def test_a_damaged_map_or_target_is_followed_or_refused(
     [
         ("clip.bvh", ["--rig", "maya"], "unknown rig 'maya'"),
         ("clip.bvh", ["--rig", "none.toml"], "none.toml"),
-        ("clip.csv", ["--rig", "mixamo"], "--rig means nothing to a .csv"),
-        ("clip.npz", ["--rig", "vrm", "--target", "rest.bvh"], "--target means noth"),
-        ("clip.bvh", ["--target", "rest.bvh"], "name its joints with --rig"),
+        ("clip.csv", ["--rig", "mixamo"], "--rig does not apply to .csv"),
+        ("clip.npz", ["--rig", "vrm", "--target", "rest.bvh"], "--target does not"),
+        ("clip.bvh", ["--target", "rest.bvh"], "needs --rig"),
         ("clip.bvh", ["--rig", "vrm", "--target", "rest.fbx"], "expected .bvh, .usda"),
         ("clip.bvh", ["--rig", "vrm", "--target", "rest.bvh"], "rest.bvh"),
-        ("clip.bvh", ["--rig", "vrm", "--rest", "t"], "--rest is about"),
+        ("clip.bvh", ["--rig", "vrm", "--rest", "t"], "--rest is only"),
         ("clip.usda", ["--rig", "vrm", "--character", "c.usda"], "--character is"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The Blender extension: made here, run by Blender."""
+"""The Blender extension: packaged here, run by Blender."""
 
 from .extension import write_extension
 

@@ -1,4 +1,4 @@
-"""The zip that Blender installs: manifest, add-on, and the names it offers."""
+"""The zip that Blender installs: manifest, add-on, and its lists of rigs and colors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MANIFEST = """schema_version = "1.0.0"
 id = "kinefilter"
 version = "{version}"
 name = "kinefilter"
-tagline = "Clean Kinect takes and bring them onto armatures"
+tagline = "Clean Kinect takes and retarget them to armatures"
 maintainer = "kinefilter"
 type = "add-on"
 tags = ["Animation", "Import-Export"]
@@ -25,11 +25,11 @@ blender_version_min = "4.2.0"
 license = ["SPDX:Apache-2.0"]
 
 [permissions]
-files = "Read takes, write a clip into a temporary folder"
+files = "Read takes, and write a clip to a temporary folder"
 """
 _FILES = {"__init__.py": "add_on.py", "armatures.py": "armatures.py"}
-_COLORS = 21  # steps of 5 %
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the first that zip knows
+_COLORS = 21  # in steps of 5 %
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time that zip knows
 
 
 def write_extension(path: AnyPath) -> None:
@@ -38,20 +38,20 @@ def write_extension(path: AnyPath) -> None:
     The same version of kinefilter always writes the same bytes. Raises InputError if
     the file cannot be written.
     """
-    known = {
+    data = {
         "rigs": RIGS,
-        # Of the others a rest pose cannot be told as BVH.
+        # BVH cannot describe the rest pose of the others.
         "targets": [rig for rig in RIGS if not load_rig_map(rig).axes_in_bvh],
         "colors": reliability_colors(np.linspace(0.0, 1.0, _COLORS)).tolist(),
     }
-    here = Path(__file__).parent
     files = {
         "blender_manifest.toml": _MANIFEST.format(version=version("kinefilter")),
-        "known.json": json.dumps(known),
-        **{name: (here / file).read_text("utf-8") for name, file in _FILES.items()},
+        "known.json": json.dumps(data),
     }
+    for name, source in _FILES.items():
+        files[name] = Path(__file__).with_name(source).read_text("utf-8")
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, text in files.items():
             info = zipfile.ZipInfo(name, _EPOCH)
-            info.create_system = 3  # whatever system this is
+            info.create_system = 3  # Unix, on any system
             archive.writestr(info, text)

@@ -1,9 +1,9 @@
-"""Files in and out: the only place with foreign axes, units and layouts.
+"""Reading and writing files: the only place with foreign axes, units and layouts.
 
-Each layout is described where it is read: ``sheets`` (a frame a row), ``datasets`` (NTU
-and MSR), ``azure``, ``bvh``, ``markers`` (C3D and TRC) and ``acclaim``. Repeated time
-stamps, dropped frames and joints that are missing now and then, or always, are normal.
-Who is lost and back within 2 s and 0.5 m is the same person (``recording``).
+Each layout is described where it is read: ``sheets`` (one row per frame), ``datasets``
+(NTU and MSR), ``azure``, ``keypoints``, ``bvh``, ``markers`` (C3D and TRC) and
+``acclaim``. Readers accept repeated time stamps, dropped frames, and joints that are
+missing in some or all frames. A person who reappears within 2 s and 0.5 m is the same.
 """
 
 from .bvh import Bvh, read_bvh

@@ -1,10 +1,10 @@
-"""Turn ``clip.glb`` into ``clip.fbx``; this runs in Blender, which knows no kinefilter.
+"""Convert ``clip.glb`` to ``clip.fbx``; this runs in Blender, without kinefilter.
 
     blender --background --python blender_fbx.py -- FOLDER FRAMES RATE IMPORTED
 
-FBX has y up and centimeters, as most programs have that read it. The keyframes of the
-GLB are IMPORTED a second, so that each is one of Blender's frames, those of the FBX
-RATE. Where standard input ends, nobody waits any more: the folder is removed.
+FBX has y up and centimeters, as most programs expect. The GLB has IMPORTED keyframes/s,
+so that each is one of Blender's frames; the FBX gets RATE frames/s. When standard input
+ends, the caller is gone: the folder is removed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-_CENTIMETERS = 100.0  # in a meter
-_AT_REST = -10  # the frame, before all that are written, in which bones rest
+_CENTIMETERS = 100.0  # per meter
+_AT_REST = -10  # frame, before all that are written, with the bones in rest pose
 
 
 def _watch(folder: str) -> None:
@@ -35,21 +35,19 @@ def _main(folder: str, frames: int, rate: float, imported: int) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps = imported
-    # Bones keep the axes that they have in the GLB.
-    bpy.ops.import_scene.gltf(
-        filepath=str(Path(folder, "clip.glb")), bone_heuristic="BLENDER"
-    )
+    glb = str(Path(folder, "clip.glb"))
+    bpy.ops.import_scene.gltf(filepath=glb, bone_heuristic="BLENDER")  # keeps axes
     _to_centimeters(bpy)
     scene.unit_settings.scale_length = 1.0 / _CENTIMETERS
     scene.frame_start, scene.frame_end = 0, frames - 1
-    scene.frame_set(_AT_REST)  # the rest pose of the FBX is that of this moment
+    scene.frame_set(_AT_REST)  # the FBX takes its rest pose from here
     scene.render.fps = max(round(rate), 1)
     scene.render.fps_base = scene.render.fps / rate
     half = Path(folder, "half.fbx")
     bpy.ops.export_scene.fbx(
         filepath=str(half),
         object_types={"ARMATURE", "EMPTY", "MESH"},
-        use_visible=True,  # not what bones are drawn as
+        use_visible=True,  # without the hidden shapes of bones
         use_space_transform=False,
         add_leaf_bones=False,
         bake_anim_use_nla_strips=False,
@@ -60,25 +58,25 @@ def _main(folder: str, frames: int, rate: float, imported: int) -> None:
 
 
 def _to_centimeters(bpy: Any) -> None:
-    """Turn and scale everything so that the numbers of the scene are those of FBX."""
+    """Turn and scale everything, so that the scene has the numbers of the FBX."""
     from mathutils import Matrix
 
     scale = Matrix.Scale(_CENTIMETERS, 4)
     turn = Matrix.Rotation(-math.pi / 2.0, 4, "X")
-    for thing in bpy.data.objects:
-        if thing.type == "ARMATURE":
-            # Unreal takes an armature of any other name for a bone.
-            thing.name = "Armature"
-            # The animation is called as the scene.
-            bpy.context.scene.name = thing.animation_data.nla_tracks[0].name
-            thing.data.transform(turn @ scale)
-            thing.data.update_tag()
-        elif thing.type == "MESH":
-            skinned = any(m.type == "ARMATURE" for m in thing.modifiers)
-            thing.data.transform(turn @ scale if skinned else scale)
-        elif thing.parent is None or thing.parent.type == "ARMATURE":
-            thing.matrix_basis = turn @ thing.matrix_basis
-        thing.location *= _CENTIMETERS
+    for obj in bpy.data.objects:
+        if obj.type == "ARMATURE":
+            # Unreal treats an armature with any other name as a bone.
+            obj.name = "Armature"
+            # FBX names the animation after the scene.
+            bpy.context.scene.name = obj.animation_data.nla_tracks[0].name
+            obj.data.transform(turn @ scale)
+            obj.data.update_tag()
+        elif obj.type == "MESH":
+            skinned = any(m.type == "ARMATURE" for m in obj.modifiers)
+            obj.data.transform(turn @ scale if skinned else scale)
+        elif obj.parent is None or obj.parent.type == "ARMATURE":
+            obj.matrix_basis = turn @ obj.matrix_basis
+        obj.location *= _CENTIMETERS
     for curve in _curves(bpy):
         if curve.data_path.endswith("location"):
             for key in curve.keyframe_points:

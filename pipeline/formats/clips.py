@@ -1,7 +1,4 @@
-"""Clips into files and back, and the skeletons of other people's rigs they are for.
-
-The name's extension says which kind of file it is.
-"""
+"""Writing and reading clips by file extension, on our own skeleton or another rig."""
 
 from __future__ import annotations
 
@@ -45,15 +42,16 @@ from .sheets import write_take_csv
 from .takes import read_take
 
 _LARGEST_MAP = 2**20  # bytes: five thousand bones
-_EXTENSIONS = (*USD_SUFFIXES, ".glb", ".vrma", ".fbx", ".bvh", ".csv", ".npz")
+_READABLE = (*USD_SUFFIXES, ".glb", ".bvh", ".csv", ".npz")
+_WRITABLE = (*USD_SUFFIXES, ".glb", ".vrma", ".fbx", ".bvh", ".csv", ".npz")
 
 
 def check_writable(path: AnyPath, export: Export | None = None) -> None:
     """Raise, before any work is done, the InputError that write_clip would raise."""
     check_folder(path)
     suffix = Path(path).suffix
-    if suffix.lower() not in _EXTENSIONS:
-        known = ", ".join(_EXTENSIONS)
+    if suffix.lower() not in _WRITABLE:
+        known = ", ".join(_WRITABLE)
         raise InputError(f"{path}: unknown extension {suffix!r}; known: {known}")
     if export is None:
         return
@@ -69,16 +67,16 @@ def check_writable(path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
-    """Write a clip as USD, GLB, VRMA, FBX, BVH, CSV or npz, whole or not at all.
+    """Write a clip in the format of the path's extension, whole or not at all.
 
-    USD, GLB and FBX hold a skinned character in T-pose, rotations and props, BVH the
-    skeleton and rotations, VRMA those of VRM; CSV joint positions and the sensor's
-    states; npz the whole clip. On another rig, USD, GLB, FBX and BVH hold its
-    skeleton and rotations, npz what ``write_joints`` writes. The extension decides:
-    ``.usda``, ``.usdc``, ``.usd``, ``.usdz``, ``.glb``, ``.vrma``, ``.fbx``,
-    ``.bvh``, ``.csv`` or ``.npz``. By default units are meters, y is up, and frames
-    are the clip's. Raises InputError if the extension is unknown, an option does
-    not go with it, nothing can be written, or as ``even_frames`` and ``write_fbx``.
+    USD (``.usda``, ``.usdc``, ``.usd``, ``.usdz``), ``.glb`` and ``.fbx`` hold a
+    skinned character in T-pose, its animation and props; ``.bvh`` the skeleton and
+    rotations; ``.vrma`` the rotations of VRM's skeleton; ``.csv`` joint positions and
+    the sensor's states; ``.npz`` the whole clip. With a rig, USD, GLB, FBX and BVH hold
+    its skeleton and animation, and npz the arrays of ``write_joints``. By default units
+    are meters, y is up, and the frames are the clip's. Raises InputError if the
+    extension is unknown, an option does not apply to it, or the file cannot be written,
+    and as ``even_frames`` and ``write_fbx``.
     """
     check_kind(clip, Clip, "the clip")
     export = Export() if export is None else export
@@ -86,29 +84,23 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     check_writable(path, export)
     path = Path(path)
     suffix = path.suffix.lower()
-    export = paced(export, suffix, clip.time, clip.source)
     if suffix == ".vrma":
         export = replace(export, rig="vrm")
+    export = paced(export, suffix, clip.time, clip.source)
     clip = shaped(clip, export)
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz" and export.rig is None:
         write_npz(clip, path)
-    else:
-        moved = _moved(clip, export)
-        if suffix == ".bvh":
-            write_bvh(clip, moved, path, export)
-        elif suffix in (".glb", ".vrma"):
-            write_glb([(clip, moved)], path, export)
-        elif suffix == ".fbx":
-            write_fbx(clip, moved, path, export)
-        elif suffix == ".npz":
-            write_joints(clip, moved, path, export)
-        else:
-            # Loading pxr takes longer than most commands run.
-            from .usd import write_usd
+    elif suffix in (".glb", ".vrma"):
+        write_glb([(clip, _rig_motion(clip, export))], path, export)
+    elif suffix in USD_SUFFIXES:
+        from .usd import write_usd  # loads pxr, which is slow
 
-            write_usd(clip, moved, path, export)
+        write_usd(clip, _rig_motion(clip, export), path, export)
+    else:
+        write = {".bvh": write_bvh, ".fbx": write_fbx, ".npz": write_joints}[suffix]
+        write(clip, _rig_motion(clip, export), path, export)
 
 
 def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
@@ -117,39 +109,36 @@ def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
     Raises InputError as ``write_clip``.
     """
     check_writable(path, export)
-    people = []
-    for clip in clips:
-        own = paced(export, ".glb", clip.time, clip.source)
-        part = shaped(clip, own)
-        people.append((part, _moved(part, own)))
-    write_glb(people, path, export)
+    paces = [paced(export, ".glb", clip.time, clip.source) for clip in clips]
+    clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
+    motions = map(_rig_motion, clips, paces)
+    write_glb([*zip(clips, motions, strict=True)], path, export)
 
 
-def _moved(clip: Clip, export: Export) -> RigMotion:
-    """Return how the skeleton that is asked for moves."""
+def _rig_motion(clip: Clip, export: Export) -> RigMotion:
+    """Return a clip's motion on its own skeleton or on the rig of an export."""
     if export.rig is None:
         return own_motion(clip)
     rig = target_rig(export.rig, export.target, clip.body)
-    axes = rig.rest.axes
-    if export.up == "z" and axes is not None:
+    if export.up == "z" and rig.rest.axes is not None:
         # Turning the world must not rename the axes of bones.
-        axes = multiply(axes, about_x(np.pi / 2.0))
+        axes = multiply(rig.rest.axes, about_x(np.pi / 2.0))
         rig = replace(rig, rest=replace(rig.rest, axes=axes))
-    acted, own = repeated(clip) if export.loop else (clip, slice(None))
-    motion = Retargeted(*(values[own] for values in retarget(acted, rig)))
+    repetitions, own = repeated(clip) if export.loop else (clip, slice(None))
+    motion = Retargeted(*(values[own] for values in retarget(repetitions, rig)))
     return retargeted_motion(rig, motion, clip.skeleton, export.root)
 
 
 def read_clip(path: AnyPath) -> Clip:
-    """Read a clip from what write_clip writes, but VRMA and FBX.
+    """Read a clip from any file that write_clip writes, except VRMA and FBX.
 
-    CSV and BVH may be gzipped. npz is the whole clip. USD on kinefilter's own skeleton
-    is all but the sensor's states, the name of the take, stature and mass; its time
-    starts at 0. GLB on it is all but the name of the take, in whole per cent and
-    millimeters. BVH holds positions and rotations alone, CSV positions: the body is
-    measured from them, contacts and props are unknown, and every joint counts as
-    reliable. Raises InputError if the file is missing, damaged, of another kind or
-    skeleton, or a raw take.
+    npz is the whole clip. USD on kinefilter's own skeleton is all but the sensor's
+    states, the name of the take, stature and mass; its time starts at 0. GLB on it is
+    all but the name of the take, in whole percent and millimeters. BVH has positions
+    and rotations, CSV only positions: the body is measured from them, contacts and
+    props are unknown, and every joint counts as reliable; both may be gzipped. Raises
+    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
+    take.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")
@@ -161,17 +150,17 @@ def read_clip(path: AnyPath) -> Clip:
     if name.endswith(".glb"):
         return read_glb(path)
     if name.endswith(".bvh"):
-        return _of_own_bvh(read_bvh(path), os.fspath(path)) or _posed(read_take(path))
-    if name.endswith(".csv"):
-        return _posed(read_take(path))
-    known = ", ".join(
-        suffix for suffix in _EXTENSIONS if suffix not in (".vrma", ".fbx")
-    )
-    raise InputError(f"{path}: not a clip by its extension; expected one of {known}")
+        clip = _own_bvh_clip(read_bvh(path), os.fspath(path))
+        if clip is not None:
+            return clip
+    elif not name.endswith(".csv"):
+        known = ", ".join(_READABLE)
+        raise InputError(f"{path}: unknown extension for a clip; known: {known}")
+    return _clip_of_take(read_take(path))
 
 
-def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
-    """Return the clip in a BVH file of kinefilter's own skeleton, None of others."""
+def _own_bvh_clip(bvh: Bvh, source: str) -> Clip | None:
+    """Return the clip of a BVH file, or None if it is on another skeleton than ours."""
     skeleton = own_skeleton([bvh.names[n] for n in bvh.joints])
     if skeleton is None:
         return None
@@ -189,33 +178,30 @@ def _of_own_bvh(bvh: Bvh, source: str) -> Clip | None:
     return Clip.of(motion, reliability=np.ones((len(bvh), len(skeleton))))
 
 
-def _posed(take: Take) -> Clip:
-    """Return the same postures on a body of median lengths, absent joints at rest."""
-    skeleton = take.skeleton
-    lacks = np.asarray(~np.isfinite(take.positions).all(axis=-1))
-    missing = np.argwhere(lacks & ~lacks.all(axis=0))
-    if len(missing):
-        frame, joint = missing[0]
+def _clip_of_take(take: Take) -> Clip:
+    """Return the postures on a body of median lengths, with absent joints at rest."""
+    missing = np.asarray(~np.isfinite(take.positions).all(axis=-1))
+    gaps = np.argwhere(missing & ~missing.all(axis=0))
+    if len(gaps):
+        frame, joint = gaps[0]
         raise InputError(
-            f"{take.source}: frame {frame + 1} has no {skeleton.joints[joint]}; "
-            "it is a raw take: clean it, or draw it with --compare beside its clip"
+            f"{take.source}: frame {frame + 1} has no {take.skeleton.joints[joint]}; "
+            "this is a raw take: clean it, or draw it beside its clip with --compare"
         )
     body = measure_body(take)
+    rotations = rotations_from_positions(hang_missing(take.positions, body), body)
+    root = take.positions[:, take.skeleton.root]
     motion = Motion(
-        time=take.time,
-        body=body,
-        root=take.positions[:, skeleton.root],
-        rotations=rotations_from_positions(hang_missing(take.positions, body), body),
-        source=take.source,
+        time=take.time, body=body, root=root, rotations=rotations, source=take.source
     )
-    return Clip.of(motion, state=take.state, reliability=np.ones(lacks.shape))
+    return Clip.of(motion, state=take.state, reliability=np.ones(missing.shape))
 
 
 def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     """Return the skeleton that a clip is written on.
 
-    ``rig`` is the name of a map, or its file; ``target`` a file with the skeleton at
-    rest, None for the map's own in the person's size. Raises InputError if either
+    ``rig`` is the name or the file of a map; ``target`` is a file with the skeleton at
+    rest, or None for the map's own in the person's size. Raises InputError if either
     cannot be read, or the file's joints do not have the map's names.
     """
     rig_map = read_rig_map(rig)
@@ -241,29 +227,27 @@ def read_rig_map(rig: str) -> RigMap:
 
 
 def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
-    """Return a BVH file's skeleton, in the unit in which it has a person's legs."""
+    """Return a BVH file's skeleton in meters, its unit guessed from the legs."""
     bvh = read_bvh(path)
     joints, meters = bvh.joints, 1.0
     names = tuple(bvh.names[n] for n in joints)
     above = [bvh.parents[n] for n in joints]
     parents = tuple(joints.index(n) if n in joints else -1 for n in above)
     plain = [rig_map.plain(name) for name in names]
-    chain = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
+    leg = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
     places = bvh.rest_positions
     rest = RestPose(names, parents, places[joints], None, places[:, 1].min(), str(path))
     if rig_map.axes_in_bvh:
-        rest = _posed_by_map(rest, bvh.offsets[joints], rig_map, body)
-    if set(chain) <= set(plain):
-        thigh, foot = (rest.positions[plain.index(name)] for name in chain)
+        rest = _with_axes(rest, bvh.offsets[joints], rig_map, body)
+    if set(leg) <= set(plain):
+        thigh, foot = (rest.positions[plain.index(name)] for name in leg)
         meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
     lowest = None if rest.lowest is None else meters * rest.lowest
     return replace(rest, positions=meters * rest.positions, lowest=lowest)
 
 
-def _posed_by_map(
-    rest: RestPose, offsets: Array, rig_map: RigMap, body: Body
-) -> RestPose:
-    """Return how bones rest that have no rest pose without rotations, by a map."""
+def _with_axes(rest: RestPose, offsets: Array, rig_map: RigMap, body: Body) -> RestPose:
+    """Pose a skeleton by a map's axes, which its BVH has in the motion."""
     built = built_rig(rig_map, body).rest
     if built.axes is None:
         return rest
@@ -277,7 +261,6 @@ def _posed_by_map(
 
 
 def _usd_rest(path: Path) -> RestPose:
-    """Return the first skeleton of a USD file at rest, y up, in meters."""
-    found = read_usd("rest_arrays", path)
-    names, parents = tuple(found["names"].tolist()), tuple(found["parents"].tolist())
-    return RestPose(names, parents, found["places"], found["axes"], source=str(path))
+    rest = read_usd("rest_arrays", path)
+    names, parents = tuple(rest["names"].tolist()), tuple(rest["parents"].tolist())
+    return RestPose(names, parents, rest["places"], rest["axes"], source=str(path))

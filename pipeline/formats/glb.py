@@ -1,8 +1,8 @@
-"""GLB, the binary form of glTF 2.0: skeleton, skin, animation and props; VRMA.
+"""Writing GLB, the binary form of glTF 2.0, and VRMA.
 
-Axes and unit are glTF's own, which are the clip's: y up, facing +z, meters, seconds.
-What no viewer needs is in the animation's ``extras`` (see CONVENTIONS.md). VRMA is GLB
-on VRM's skeleton that says which node is which bone (VRMC_vrm_animation 1.0).
+Clips and glTF have the same axes and units: y up, facing +z, meters, seconds. Data that
+viewers do not need is in the animation's ``extras`` (see CONVENTIONS.md). VRMA is GLB
+on VRM's skeleton, with a table of its bones (VRMC_vrm_animation 1.0).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, matrix_from_wxyz
 from kinefilter.characters.skin import skin_of
 
-from .export import COLOR, LINEAR, ONCE, PER_FRAME, Export, name_tables
+from .export import GAMMA, LENGTHS, PER_CLIP, PER_FRAME, SKIN_COLOR, Export, name_tables
 from .files import AnyPath, atomic_path
 from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
@@ -31,23 +31,20 @@ if TYPE_CHECKING:
     from .keys import Curve
 
 MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-KINDS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""Codes of numbers in accessors, and numpy's names."""
-SIZES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-"""Numbers in each row of an accessor, by its type."""
-UNITS = {
-    **dict.fromkeys(("reliability", "external_force"), 100.0),
-    **dict.fromkeys(("moved_by_correction", "moved_by_physics", "uncertainty"), 1000.0),
-}
-"""How many of the whole numbers in ``extras`` are one in a clip's fields."""
-FRAMES = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
-"""What ``extras`` have a row of for each keyframe, and the clip's fields."""
+COMPONENT_TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""Number types of accessors, with numpy's names."""
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+"""Numbers in a row of an accessor, by its type."""
+SCALES = {"reliability": 1e2, "external_force": 1e2, **dict.fromkeys(LENGTHS, 1e3)}
+"""Factors by which fields of a clip are multiplied before ``extras`` rounds them."""
+PER_KEYFRAME = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
+"""Data in ``extras`` with a row for each keyframe, and the fields of a clip."""
 SMOOTH = "CUBICSPLINE"
-"""How samplers say that their keys are those of a curve."""
-_POINTS, _CORNERS = 34962, 34963  # what a graphics card gets
+"""Interpolation of samplers whose keyframes have tangents."""
+_POINTS, _CORNERS = 34962, 34963  # ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER
 _VRMA = "VRMC_vrm_animation"
 _DECIMALS = 9  # of time stamps [s]
-_MOST = 2.0**31  # of whole numbers: more than anything is
+_LARGEST_INTEGER = 2.0**31  # in ``extras``; no measured value comes near
 
 
 def write_glb(
@@ -55,49 +52,45 @@ def write_glb(
 ) -> None:
     """Write the clips of one or more people as GLB or VRMA, whole or not at all.
 
-    Of frames with the same time the last counts; one more ends a long gap, so that the
-    character holds still until then. Time counts from the first frame of all; who is
-    not there yet, or any more, stands still. Props are those of the first clip. On
-    another rig there is neither skin nor prop. Raises InputError if the file cannot be
-    written.
+    Time counts from the first frame of anyone. Of frames with the same time the last
+    one counts. An additional keyframe ends each long gap, so that the character holds
+    still until then. People stand still before they appear and after they leave. Props
+    are those of the first clip; with a rig, skin and props are left out. Raises
+    InputError if the file cannot be written.
     """
-    glb, known = _Document(), list[dict[str, Any]]()
+    glb, extras = _Document(), list[dict[str, Any]]()
     start = min(clip.time[0] for clip, _ in people)
-    for clip, moved in people:
+    for clip, motion in people:
         rows, stamps, held = _keys(clip, start)
-        _add_person(glb, clip, moved, rows, stamps, export)
-        if not known and export.rig is None and clip.props:
+        glb.begin(stamps)
+        _add_person(glb, clip, motion, rows, export)
+        if not extras and export.rig is None and clip.props:
             _add_props(glb, clip.props, rows)
-        once = {"root": export.root, "turnedBy": dict(moved.turned_by)}
-        known.append(_provenance(clip, rows, held) | once)
-    for number, skin in enumerate(glb.skins if len(people) > 1 else (), start=1):
-        skin["name"] = f"Person {number}"
-    clip, moved = people[0]
+        once = {"root": export.root, "turnedBy": dict(motion.turned_by)}
+        extras.append(_provenance(clip, rows, held) | once)
+    if len(people) > 1:
+        for number, skin in enumerate(glb.lists["skins"], start=1):
+            skin["name"] = f"Person {number}"
+    clip, motion = people[0]
     takes = clip.source.split(" + ")  # of a session, with their folders
     animation = {
         "name": " + ".join(Path(take).name.partition(".")[0] for take in takes),
         "samplers": glb.samplers,
         "channels": glb.channels,
-        "extras": {"kinefilter": known[0] if len(people) == 1 else {"people": known}},
+        "extras": {"kinefilter": extras[0] if len(people) == 1 else {"people": extras}},
     }
+    glb.lists["animations"].append(animation)
     document = {
         "asset": {"version": "2.0", "generator": "kinefilter"},
         "scene": 0,
         "scenes": [{"nodes": glb.scene}],
-        "nodes": glb.nodes,
-        "skins": glb.skins,
-        "animations": [animation],
-        "meshes": glb.meshes,
-        "materials": glb.materials,
-        "accessors": glb.accessors,
-        "bufferViews": glb.views,
+        **{name: entries for name, entries in glb.lists.items() if entries},
         "buffers": [{"byteLength": len(glb.data)}],
     }
     if Path(path).suffix.lower() == ".vrma":
-        bones = {name: {"node": n} for n, name in enumerate(moved.rig.names)}
+        bones = {name: {"node": n} for n, name in enumerate(motion.rig.names)}
         humanoid = {"specVersion": "1.0", "humanoid": {"humanBones": bones}}
         document |= {"extensions": {_VRMA: humanoid}, "extensionsUsed": [_VRMA]}
-    document = {name: value for name, value in document.items() if value != []}
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(glb.data)
@@ -108,160 +101,144 @@ def write_glb(
 
 
 class _Document:
-    """The lists of a glTF document; entries refer to each other by index."""
+    """The lists of a glTF document, whose entries refer to each other by index."""
 
     def __init__(self) -> None:
+        names = ("nodes", "skins", "animations", "meshes", "materials", "accessors")
+        self.lists = {name: list[dict[str, Any]]() for name in (*names, "bufferViews")}
         self.scene: list[int] = []
-        self.skins: list[dict[str, Any]] = []
-        self.nodes: list[dict[str, Any]] = []
-        self.meshes: list[dict[str, Any]] = []
-        self.materials: list[dict[str, Any]] = []
         self.samplers: list[dict[str, Any]] = []
         self.channels: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
-        self.views: list[dict[str, Any]] = []
         self.data = bytearray()
 
+    def append(self, name: str, entry: dict[str, Any]) -> int:
+        """Add an entry to a list, and return its index."""
+        self.lists[name].append(entry)
+        return len(self.lists[name]) - 1
+
     def begin(self, stamps: Array) -> None:
-        """Say when the keyframes are that ``move`` takes from now on [s]."""
-        self._stamps, self._time = stamps, -1
+        """Set the times [s] of the keyframes that ``move`` takes from now on."""
+        self.stamps, self._time = stamps, -1
 
     def add(
         self, values: NDArray[Any], target: int | None = None, *, bounds: bool = False
     ) -> int:
         """Return the index of a new accessor of rows (N,) or (N, C)."""
         width = values.shape[1] if values.ndim > 1 else 1
-        view = {
-            "buffer": 0,
-            "byteOffset": len(self.data),
-            "byteLength": values.nbytes,
-        }
-        self.views.append(view | ({"target": target} if target else {}))
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
+        if target is not None:
+            view["target"] = target
+        kinds = (k for k, kind in COMPONENT_TYPES.items() if values.dtype == kind)
         accessor = {
-            "bufferView": len(self.views) - 1,
-            "componentType": next(
-                k for k, kind in KINDS.items() if values.dtype == kind
-            ),
+            "bufferView": self.append("bufferViews", view),
+            "componentType": next(kinds),
             "count": len(values),
-            "type": next(name for name, size in SIZES.items() if size == width),
+            "type": next(name for name, size in WIDTHS.items() if size == width),
         }
         if bounds:
             rows = values.reshape(len(values), -1)
             accessor |= {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
-        self.accessors.append(accessor)
         self.data += values.tobytes()
         self.data += bytes(-len(self.data) % 4)
-        return len(self.accessors) - 1
+        return self.append("accessors", accessor)
 
-    def move(self, node: int, what: str, values: Array) -> None:
-        """Animate a node's translation [m] or rotation (xyzw), a row a keyframe."""
+    def move(self, node: int, path: str, values: Array) -> None:
+        """Animate a node's translation [m] or rotation (wxyz), a row per keyframe."""
         if self._time < 0:
-            self._time = self.add(self._stamps.astype("<f4"), bounds=True)
-        self._animate(node, what, {"input": self._time}, values)
-
-    def _animate(
-        self, node: int, what: str, sampler: dict[str, Any], values: Array
-    ) -> None:
-        target = {"node": node, "path": what}
-        self.channels.append({"sampler": len(self.samplers), "target": target})
-        self.samplers.append(sampler | {"output": self.add(values.astype("<f4"))})
+            self._time = self.add(self.stamps.astype("<f4"), bounds=True)
+        self._animate(node, path, {"input": self._time}, values)
 
     def bend(self, node: int, curve: Curve) -> None:
         """Animate a node's translation or rotation by a curve."""
-        keys = np.stack([curve.slopes, curve.values, curve.slopes], axis=1)
-        what = "translation"
-        if keys.shape[-1] == 4:
-            keys, what = _xyzw(keys), "rotation"
+        keys, width = [curve.slopes, curve.values, curve.slopes], curve.values.shape[1]
         times = self.add(curve.times.astype("<f4"), bounds=True)
         sampler = {"input": times, "interpolation": SMOOTH}
-        self._animate(node, what, sampler, keys.reshape(-1, keys.shape[-1]))
+        path = "rotation" if width == 4 else "translation"
+        self._animate(node, path, sampler, np.stack(keys, axis=1).reshape(-1, width))
+
+    def _animate(
+        self, node: int, path: str, sampler: dict[str, Any], values: Array
+    ) -> None:
+        target = {"node": node, "path": path}
+        self.channels.append({"sampler": len(self.samplers), "target": target})
+        values = _xyzw(values) if path == "rotation" else values
+        self.samplers.append(sampler | {"output": self.add(values.astype("<f4"))})
 
     def mesh(self, name: str, primitive: dict[str, Any], color: Sequence[float]) -> int:
-        """Return the index of a new mesh in a linear color with alpha."""
-        looks = {"baseColorFactor": list(color), "metallicFactor": 0.0}
-        primitive = primitive | {"material": len(self.materials)}
-        self.materials.append({"name": name, "pbrMetallicRoughness": looks})
-        self.meshes.append({"name": name, "primitives": [primitive]})
-        return len(self.meshes) - 1
+        """Return the index of a new mesh in an opaque linear color."""
+        looks = {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0}
+        material = {"name": name, "pbrMetallicRoughness": looks}
+        primitive = primitive | {"material": self.append("materials", material)}
+        return self.append("meshes", {"name": name, "primitives": [primitive]})
 
 
 def _add_person(
-    glb: _Document,
-    clip: Clip,
-    moved: RigMotion,
-    rows: Indices,
-    stamps: Array,
-    export: Export,
+    glb: _Document, clip: Clip, motion: RigMotion, rows: Indices, export: Export
 ) -> None:
-    """Add the skeleton of a person, how it moves, and without a rig the skin."""
-    first, rig = len(glb.nodes), moved.rig
-    glb.begin(stamps)
+    nodes, rig = glb.lists["nodes"], motion.rig
+    first = len(nodes)
     glb.scene.append(first)
-    glb.nodes += _nodes(rig, first)
-    turns = _turns(moved, rows)
-    paths = {node: places[rows] for node, places in moved.places.items()}
+    nodes += [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
+    for n, parent in enumerate(rig.parents[1:], start=1):
+        nodes[first + parent].setdefault("children", []).append(first + n)
+    turns = _local_rotations(motion, rows)
+    paths = {node: places[rows] for node, places in motion.places.items()}
     if export.keys is None or len(rows) < 2:
         for node, places in paths.items():
             glb.move(first + node, "translation", places)
         for node in range(len(rig)):
-            glb.move(first + node, "rotation", _xyzw(turns[:, node]))
+            glb.move(first + node, "rotation", turns[:, node])
     else:
         from .keys import sparse_curves  # loads scipy
 
         step, error = 1.0 / clip.fps, export.keys / 1000.0
-        for curve in sparse_curves(rig, stamps, step, paths, turns, error):
+        for curve in sparse_curves(rig, glb.stamps, step, paths, turns, error):
             glb.bend(first + curve.node, curve)
     if export.rig is None:
-        mesh = glb.mesh("Skin", _skin(clip, rig, glb), (*COLOR, 1.0))
-        glb.scene.append(len(glb.nodes))
-        glb.nodes.append({"name": "Skin", "mesh": mesh, "skin": len(glb.skins)})
+        mesh = glb.mesh("Skin", _skin(clip, rig, glb), SKIN_COLOR)
+        skinned = {"name": "Skin", "mesh": mesh, "skin": len(glb.lists["skins"])}
+        glb.scene.append(glb.append("nodes", skinned))
     skin = {
         "joints": list(range(first, first + len(rig))),
         "skeleton": first,
         "inverseBindMatrices": glb.add(_inverse_binds(rig)),
     }
-    glb.skins.append(skin)
+    glb.append("skins", skin)
 
 
 def _add_props(glb: _Document, props: Sequence[Prop], rows: Indices) -> None:
-    """Add a node with the props below it, moving at the times given last."""
-    node: dict[str, Any] = {"name": "Props", "children": []}
-    glb.scene.append(len(glb.nodes))
-    glb.nodes.append(node)
+    """Add a node for all props, one for each below it, and one for each shape."""
+    folder: dict[str, Any] = {"name": "Props", "children": []}
+    glb.scene.append(glb.append("nodes", folder))
     for prop in props:
-        node["children"].append(len(glb.nodes))
-        _add_prop(glb, prop, rows)
-
-
-def _add_prop(glb: _Document, prop: Prop, rows: Indices) -> None:
-    """Add the node of a prop, and below it a node for each of its shapes."""
-    here = len(glb.nodes)
-    node = _placed(prop.name, prop.positions[0], prop.rotations[0])
-    children = list(range(here + 1, here + 1 + len(prop.shapes)))
-    glb.nodes.append(node | ({"children": children} if children else {}))
-    if prop.moves:
-        glb.move(here, "translation", prop.positions[rows])
-        glb.move(here, "rotation", _xyzw(continuous(prop.rotations[rows])))
-    for shape in prop.shapes:
-        part = _placed(f"{prop.name} {shape.kind}", shape.position, shape.rotation)
-        surface = shape.surface()
-        points = glb.add(surface.vertices.astype("<f4"), _POINTS, bounds=True)
-        corners = glb.add(surface.faces.astype("<u4").ravel(), _CORNERS)
-        primitive = {"attributes": {"POSITION": points}, "indices": corners}
-        color = (*(shape.color**LINEAR).tolist(), 1.0)
-        part["mesh"] = glb.mesh(part["name"], primitive, color)
-        known = {"size": shape.size.tolist(), "color": shape.color.tolist()}
-        glb.nodes.append(part | {"extras": {"kind": shape.kind, **known}})
+        node = _placed(prop.name, prop.positions[0], prop.rotations[0])
+        here = glb.append("nodes", node)
+        folder["children"].append(here)
+        if prop.moves:
+            glb.move(here, "translation", prop.positions[rows])
+            glb.move(here, "rotation", continuous(prop.rotations[rows]))
+        for shape in prop.shapes:
+            part = _placed(f"{prop.name} {shape.kind}", shape.position, shape.rotation)
+            surface = shape.surface()
+            points = glb.add(surface.vertices.astype("<f4"), _POINTS, bounds=True)
+            corners = glb.add(surface.faces.astype("<u4").ravel(), _CORNERS)
+            primitive = {"attributes": {"POSITION": points}, "indices": corners}
+            color = (shape.color**GAMMA).tolist()
+            part["mesh"] = glb.mesh(part["name"], primitive, color)
+            sizes = {"size": shape.size.tolist(), "color": shape.color.tolist()}
+            part["extras"] = {"kind": shape.kind, **sizes}
+            node.setdefault("children", []).append(glb.append("nodes", part))
 
 
 def _keys(clip: Clip, start: float) -> tuple[Indices, Array, list[int]]:
-    """Return each keyframe's frame, its time since the start [s], and ends of gaps."""
+    """Return each keyframe's frame and time since the start [s], and those held."""
     stamps = key_times(clip.time.round(_DECIMALS), round(start, _DECIMALS))
     rows = np.flatnonzero(np.append(np.diff(stamps) > 0.0, True))
     stamps = stamps[rows]
+    # Each long gap ends with a keyframe that holds the frame before it.
     starts = np.array([part.start for part in parts_of(stamps)[1:]], dtype=int)
     ends = np.asarray((stamps[starts] - 1.0 / clip.fps).astype(np.float32))
-    # Days from the beginning single precision leaves no room for one.
+    # Days after the start, single precision may have no number between two frames.
     room = (stamps[starts - 1] < ends) & (ends < stamps[starts])
     starts, ends = starts[room], ends[room]
     held = (starts + np.arange(len(starts))).tolist()
@@ -279,22 +256,12 @@ def _xyzw(wxyz: Array) -> Array:
 
 
 def _placed(name: str, place: Array, turn: Array) -> dict[str, Any]:
-    return {
-        "name": name,
-        "translation": place.tolist(),
-        "rotation": _xyzw(turn).clip(-1.0, 1.0).tolist(),  # rounding goes beyond
-    }
-
-
-def _nodes(rig: Rig, first: int) -> list[dict[str, Any]]:
-    nodes = [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
-    for n, parent in enumerate(rig.parents[1:], start=1):
-        nodes[parent].setdefault("children", []).append(first + n)
-    return nodes
+    rotation = _xyzw(turn).clip(-1.0, 1.0).tolist()  # rounding may exceed the range
+    return {"name": name, "translation": place.tolist(), "rotation": rotation}
 
 
 def _inverse_binds(rig: Rig) -> NDArray[Any]:
-    """Return what takes points at rest into each node's frame, column by column."""
+    """Return the inverse bind matrix of each node, column by column, (N, 16)."""
     binds = np.tile(np.eye(4), (len(rig), 1, 1))
     if rig.axes is not None:
         binds[:, :3, :3] = matrix_from_wxyz(rig.axes)
@@ -307,35 +274,33 @@ def _inverse_binds(rig: Rig) -> NDArray[Any]:
 def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
     skin = skin_of(clip.body)
     weights = skin.weights.astype("<f4")
-    joints = np.where(weights > 0.0, rig.starts[skin.segments], 0)
+    joints = np.where(weights > 0.0, rig.segment_nodes[skin.segments], 0)
     attributes = {
         "POSITION": glb.add(skin.points.astype("<f4"), _POINTS, bounds=True),
         "NORMAL": glb.add(skin.normals.astype("<f4"), _POINTS),
         "JOINTS_0": glb.add(joints.astype("u1"), _POINTS),
         "WEIGHTS_0": glb.add(weights, _POINTS),
     }
-    corners = glb.add(skin.triangles.astype("<u2").ravel(), _CORNERS)  # of some 9,000
+    corners = glb.add(skin.triangles.astype("<u2").ravel(), _CORNERS)  # about 9,000
     return {"attributes": attributes, "indices": corners}
 
 
-def _turns(moved: RigMotion, rows: Indices) -> NDArray[Any]:
-    """Return every node's rotation in its parent, wxyz, (K, N, 4)."""
-    found = np.empty((len(rows), len(moved.rig), 4))
+def _local_rotations(motion: RigMotion, rows: Indices) -> NDArray[Any]:
+    """Return every node's rotation relative to its parent, wxyz, (K, N, 4)."""
+    local = np.empty((len(rows), len(motion.rig), 4))
     for some in chunks(len(rows), FRAMES_AT_ONCE):
-        found[some] = moved.rig.local_rotations(moved.rotations[rows[some]])
-    return continuous(found)
+        local[some] = motion.rig.local_rotations(motion.rotations[rows[some]])
+    return continuous(local)
 
 
 def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:
-    once = {name: getattr(clip, field) for name, field in ONCE.items()}
+    once = {name: getattr(clip, field) for name, field in PER_CLIP.items()}
     once |= {"height": clip.body.height, "mass": clip.body.mass}
-    found: dict[str, Any] = {
-        k: value for k, value in once.items() if np.isfinite(value)
-    }
-    found["time"] = clip.time.round(_DECIMALS).tolist()
-    for name, field in FRAMES.items():
-        values = getattr(clip, field)[rows] * UNITS.get(field, 1.0)
+    extras: dict[str, Any] = {**name_tables(clip.skeleton)}
+    extras |= {name: number for name, number in once.items() if np.isfinite(number)}
+    extras["time"] = clip.time.round(_DECIMALS).tolist()
+    for name, field in PER_KEYFRAME.items():
+        values = getattr(clip, field)[rows] * SCALES.get(field, 1.0)
         whole = np.where(np.isfinite(values), np.rint(values), -1.0)
-        whole = np.minimum(whole, _MOST).astype(int)
-        found[name] = whole.tolist()
-    return {**name_tables(clip.skeleton), **found, "held": held}
+        extras[name] = np.minimum(whole, _LARGEST_INTEGER).astype(int).tolist()
+    return extras | {"held": held}

@@ -1,7 +1,6 @@
-"""Motions for learning and for robots: joints in the world, and SMPL's as in AMASS.
+"""Joint motions for learning and robots, SMPL's as in AMASS: z up, meters, even frames.
 
-All z up, in meters, with even frames. AMASS: Mahmood et al., AMASS: Archive of Motion
-Capture as Surface Shapes, ICCV 2019.
+AMASS: Mahmood et al., AMASS: Archive of Motion Capture as Surface Shapes, ICCV 2019.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Clip
-from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_x, multiply, rotate, rotation_vector
 
 from .export import Export
@@ -21,26 +19,24 @@ from .rig import RigMotion
 
 _TO_Z_UP = about_x(np.pi / 2.0)
 _JOINTS = {"smpl": 52, "smplx": 55}
-"""Of SMPL-H, the layout in which AMASS has SMPL, and of SMPL-X: fingers and face are
-those after the body's, in rest."""
+"""Number of joints of SMPL-H, whose layout AMASS uses for SMPL, and of SMPL-X. Fingers
+and face follow those of the body, and are at rest."""
 _BODY = 22
 _PARTS = {"root_orient": (0, 1), "pose_body": (1, 22)}
 _PARTS_X = {"pose_jaw": (22, 23), "pose_eye": (23, 25), "pose_hand": (25, 55)}
-_BETAS = 16  # as many as AMASS has, of an average body
+_BETAS = 16  # as many as in AMASS; zeros are the average body
 
 
-def write_joints(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) -> None:
-    """Write where a rig's joints are and how they are turned in the world, as npz.
+def write_joints(clip: Clip, motion: RigMotion, path: AnyPath, export: Export) -> None:
+    """Write the world positions and orientations of a rig's joints as npz.
 
-    ``global_joint_positions`` [m] (T, J, 3) and ``global_joint_orientations`` wxyz
-    (T, J, 4), ``joint_names``, ``parents`` (-1 for the root), ``fps`` and the person's
-    ``height`` [m]; for SMPL and SMPL-X also AMASS' arrays. Raises InputError if the
-    file cannot be written.
+    For SMPL and SMPL-X also the arrays of AMASS; CONVENTIONS.md lists all of them.
+    Raises InputError if the file cannot be written.
     """
-    rig, rate = moved.rig, export.fps or clip.fps
-    turns = moved.rotations
+    rig, rate = motion.rig, export.fps or clip.fps
+    turns = motion.rotations
     world = turns if rig.axes is None else multiply(turns, rig.axes)
-    places = rotate(_TO_Z_UP, moved.positions)
+    places = rotate(_TO_Z_UP, motion.positions)
     arrays: dict[str, Any] = {
         "global_joint_positions": places,
         "global_joint_orientations": multiply(_TO_Z_UP, world),
@@ -50,25 +46,21 @@ def write_joints(clip: Clip, moved: RigMotion, path: AnyPath, export: Export) ->
         "height": clip.body.height,
     }
     if export.rig in _JOINTS:
+        poses = np.zeros((len(turns), _JOINTS[export.rig], 3))
         local = rig.local_rotations(turns)[:, :_BODY]
         local[:, 0] = multiply(_TO_Z_UP, local[:, 0])
-        arrays |= _amass(rotation_vector(local), places[:, 0], rate, export.rig)
+        poses[:, :_BODY] = rotation_vector(local)
+        parts = _PARTS | (_PARTS_X if export.rig == "smplx" else {})
+        for name, (first, end) in parts.items():
+            arrays[name] = poses[:, first:end].reshape(len(poses), -1)
+        arrays |= {
+            "poses": poses.reshape(len(poses), -1),
+            "trans": places[:, 0],
+            "betas": np.zeros(_BETAS),
+            "num_betas": _BETAS,
+            "gender": "neutral",
+            "surface_model_type": "smplx" if export.rig == "smplx" else "smplh",
+            "mocap_framerate": rate,  # the name in files of SMPL-H
+            "mocap_frame_rate": rate,  # the name in files of SMPL-X
+        }
     write_arrays(path, arrays)
-
-
-def _amass(body: Array, pelvis: Array, rate: float, model: str) -> dict[str, Any]:
-    poses = np.zeros((len(body), _JOINTS[model], 3))
-    poses[:, :_BODY] = body
-    parts = _PARTS | (_PARTS_X if model == "smplx" else {})
-    slices = {name: poses[:, slice(*part)] for name, part in parts.items()}
-    return {
-        **{name: part.reshape(len(body), -1) for name, part in slices.items()},
-        "poses": poses.reshape(len(body), -1),
-        "trans": pelvis,
-        "betas": np.zeros(_BETAS),
-        "num_betas": _BETAS,
-        "gender": "neutral",
-        "surface_model_type": "smplx" if model == "smplx" else "smplh",
-        "mocap_framerate": rate,  # as in SMPL-H's files
-        "mocap_frame_rate": rate,  # as in SMPL-X'
-    }

@@ -1,4 +1,4 @@
-"""Figures, counts and names in the form that JSON, tables and terminals can hold."""
+"""Numbers, counts and names in a form that JSON, tables and terminals can hold."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 def finite(value: Any) -> Any:
-    """Return a figure, or lists, tuples and dicts of them, ready for ``json.dumps``.
+    """Return a value or a nested list, tuple or dict of values, ready for JSON.
 
-    JSON has no NaN: a number that could not be measured, or is infinite, becomes None.
+    NaN and infinite numbers, which JSON does not have, become None.
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -25,13 +25,13 @@ def finite(value: Any) -> Any:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number of things, such as ``1 frame`` or ``2 frames``."""
+    """Return a count with its noun, such as ``1 frame`` or ``2 frames``."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def printable(text: str) -> str:
-    """Return a text in which what no terminal or UTF-8 file can show is as in URLs.
+    """Return text with its unprintable characters percent-encoded, as in URLs.
 
-    A line end becomes ``%0A``, a byte E9 that is not UTF-8 ``%E9``.
+    A line end becomes ``%0A``, and a byte E9 that is not UTF-8 becomes ``%E9``.
     """
-    return _UNPRINTABLE.sub(lambda found: f"%{ord(found[0]) & 0xFF:02X}", text)
+    return _UNPRINTABLE.sub(lambda match: f"%{ord(match[0]) & 0xFF:02X}", text)

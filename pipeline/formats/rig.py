@@ -1,7 +1,4 @@
-"""The skeleton that animation formats get: every bone length constant, no bend lost.
-
-It is our own, or that of somebody else's rig.
-"""
+"""Skeletons as animation formats need them, with constant bone lengths."""
 
 from __future__ import annotations
 
@@ -20,33 +17,31 @@ from kinefilter.retarget.retargeting import Retargeted, rig_frame, segment_of
 from kinefilter.retarget.target_rig import TargetRig
 
 Travel = Literal["travel", "in-place", "none"]
-"""What is left of a motion's way over the floor: all, the turns, or nothing."""
+"""Root motion that is kept: all of it, only the turns, or none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A tree of nodes, each of which turns all its children together.
+    """A tree of nodes, each of which rotates everything below it.
 
-    In a clip every segment has a rotation of its own, so the segments that leave one
-    joint turn apart. Animation formats let a node turn all that hangs on it. So where
-    a joint branches, a node ``<Child>Pivot`` sits in the same place for each child and
-    turns with the child's segment; a joint with one child turns with that child's
-    segment, a leaf with its own. On somebody else's rig each node turns for itself.
+    In a clip every segment has its own rotation. So where a joint branches, each child
+    gets a helper node ``<Child>Pivot`` at the same place, which rotates with the
+    child's segment. A joint with one child rotates with that child's segment, and a
+    leaf with its own. On other rigs every node has its own segment.
     """
 
     names: tuple[str, ...]  # the sensor's for a joint, ``<Child>Pivot`` for a helper
     parents: tuple[int, ...]  # index of each node's parent, -1 for the root
     offsets: Array  # vector [m] from the parent in the T-pose, shape (N, 3), root 0
-    segments: Indices  # the skeleton's that each node turns with, shape (N,)
+    segments: Indices  # index of the segment that each node rotates with, shape (N,)
     root: Array  # position of the root in the T-pose [m], shape (3,)
     axes: Array | None = None
-    """World rotation of each node's own axes in the rest pose, wxyz, shape (N, 4);
-    None: those of the world."""
+    """World rotation of each node's axes in the rest pose, wxyz, shape (N, 4). None
+    stands for the world's axes."""
     mover: int = 0
-    """Index of the node that changes place in its parent: the root, or the pelvis of a
+    """Index of the node that moves relative to its parent: the root, or the pelvis of a
     rig whose root stays on the floor."""
-    axes_in_bvh: bool = False
-    """Whether BVH has the axes too, and so no rest pose."""
+    axes_in_bvh: bool = False  # BVH has the axes in its motion, and so no rest pose
 
     def __len__(self) -> int:
         return len(self.names)
@@ -61,25 +56,23 @@ class Rig:
 
     @cached_property
     def depth_first(self) -> tuple[int, ...]:
-        """Indices of the nodes, each before all that hangs on it, branch by branch."""
-        order, waiting = [], [0]
-        while waiting:
-            node = waiting.pop()
-            order.append(node)
-            children = [n for n, parent in enumerate(self.parents) if parent == node]
-            waiting.extend(reversed(children))
+        """Indices of the nodes, each one before all those below it, by branches."""
+        order, stack = [], [0]
+        while stack:
+            order.append(stack.pop())
+            children = [n for n, p in enumerate(self.parents) if p == order[-1]]
+            stack.extend(reversed(children))
         return tuple(order)
 
     @cached_property
-    def starts(self) -> Indices:
-        """Index of the node at each segment's start, which turns it, shape (J,)."""
-        segments = self.segments.tolist()
-        return np.array([segments.index(j) for j in range(max(segments) + 1)])
+    def segment_nodes(self) -> Indices:
+        """Index of the node at the start of each segment, which rotates it, (J,)."""
+        return np.unique(self.segments, return_index=True)[1]
 
     def local_rotation(self, rotations: Array, node: int) -> Array:
-        """Return one node's rotation relative to its parent's, wxyz, shape (..., 4).
+        """Return one node's rotation relative to its parent, wxyz, shape (..., 4).
 
-        Rotations are those of a clip's segments in the world, (..., J, 4).
+        ``rotations`` are the world rotations of a clip's segments, (..., J, 4).
         """
 
         def world(node: int) -> Array:
@@ -87,36 +80,35 @@ class Rig:
             return turn if self.axes is None else multiply(turn, self.axes[node])
 
         parent = self.parents[node]
-        if parent < 0:
-            return world(node)
-        return multiply(inverse(world(parent)), world(node))
+        local = world(node)
+        return local if parent < 0 else multiply(inverse(world(parent)), local)
 
-    @cached_property
-    def at_rest(self) -> tuple[Array, Array]:
-        """Each node's place [m] (N, 3) and rotation (N, 4) in its parent (or world)."""
-        still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
-        places = self.offsets.copy()
-        places[0] = self.root
-        if self.axes is not None:
-            above = self.axes[list(self.parents[1:])]
-            places[1:] = rotate(inverse(above), places[1:])
-        return places, self.local_rotations(still)
+    def local_rotations(self, rotations: Array) -> Array:
+        """Return the ``local_rotation`` of every node, shape (..., N, 4)."""
+        nodes = [self.local_rotation(rotations, n) for n in range(len(self))]
+        return np.stack(nodes, axis=-2)
 
     def world_rotations(self, local: Array) -> Array:
-        """Return world rotations (T, N, 4) of nodes turned in their parents, wxyz."""
+        """Return the world rotations of nodes from the local ones, wxyz, (T, N, 4)."""
         world = local.copy()
         for n, parent in enumerate(self.parents[1:], start=1):
             world[:, n] = multiply(world[:, parent], local[:, n])
         return world
 
-    def local_rotations(self, rotations: Array) -> Array:
-        """Return every node's rotation as ``local_rotation`` does, (..., N, 4)."""
-        nodes = [self.local_rotation(rotations, n) for n in range(len(self))]
-        return np.stack(nodes, axis=-2)
+    @cached_property
+    def at_rest(self) -> tuple[Array, Array]:
+        """Local position [m] (N, 3) and rotation (N, 4) of each node in the T-pose."""
+        still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
+        places = self.offsets.copy()
+        places[0] = self.root
+        if self.axes is not None:
+            parent_axes = self.axes[list(self.parents[1:])]
+            places[1:] = rotate(inverse(parent_axes), places[1:])
+        return places, self.local_rotations(still)
 
 
 def rig_of(body: Body) -> Rig:
-    """Return the rig of a body."""
+    """Return the rig for a body on kinefilter's own skeleton."""
     skeleton = body.skeleton
     nodes: list[tuple[str, int, Array, int]] = []  # name, parent, offset, segment
 
@@ -139,11 +131,9 @@ def rig_of(body: Body) -> Rig:
 
 
 def own_skeleton(names: Sequence[str]) -> Skeleton | None:
-    """Return the skeleton whose rig has nodes of these names, None if none has."""
-    for skeleton in SKELETONS.values():
-        if tuple(names) == rig_of(standard_body(skeleton)).names:
-            return skeleton
-    return None
+    """Return the skeleton whose rig has nodes with these names, or None."""
+    skeletons = {rig_of(standard_body(s)).names: s for s in SKELETONS.values()}
+    return skeletons.get(tuple(names))
 
 
 def motion_of_rig(
@@ -154,36 +144,36 @@ def motion_of_rig(
     time: Array,
     source: str,
 ) -> Motion:
-    """Return what a skeleton's own rig does as a motion.
+    """Convert the motion of a skeleton's own rig to a Motion.
 
-    Offsets from each node's parent in the rest pose [m] are (N, 3), world rotations of
-    the nodes (T, N, 4), positions of the root [m] (T, 3), time stamps [s] (T,). Raises
+    Rest offsets from each node's parent [m] have shape (N, 3), world rotations of the
+    nodes (T, N, 4), positions of the root [m] (T, 3), time stamps [s] (T,). Raises
     InputError if no person has such segments.
     """
     rig = rig_of(standard_body(skeleton))
-    bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]].copy()
+    bones = offsets[[rig.names.index(joint) for joint in skeleton.joints]]
     bones[skeleton.root] = 0.0
     lengths = np.linalg.norm(bones, axis=1)
     directions = bones / np.maximum(lengths, 1e-12)[:, None]
     person = measured_body(skeleton, lengths, directions, source=source)
     body = replace(person, lengths=lengths, directions=directions)
-    turns = rotations[:, rig.starts]
+    turns = rotations[:, rig.segment_nodes]
     return Motion(time=time, body=body, root=root, rotations=turns, source=source)
 
 
 @dataclass(frozen=True, eq=False)
 class RigMotion:
-    """What a rig does."""
+    """The motion of a rig."""
 
     rig: Rig
-    rotations: Array  # of its segments since the rest pose, world, wxyz, (T, S, 4)
+    rotations: Array  # world rotations of the segments from rest, wxyz, (T, S, 4)
     places: Mapping[int, Array]
-    """Where nodes are in their parents [m], (T, 3), by index: ``rig.mover``, and a root
-    below it that moves over the floor."""
-    positions: Array  # world positions of joints, all that differ [m], shape (T, J, 3)
+    """Local positions [m] (T, 3) of the nodes that move, by index: ``rig.mover``, and
+    the root if it moves over the floor."""
+    positions: Array  # world positions [m] of all distinct joints, shape (T, J, 3)
     turned_by: Mapping[str, int]
-    """Index of the sensor's joint at the end of the segment that turns a node, by the
-    node's name; without nodes that no segment turns."""
+    """Index of the sensor's joint at the end of the segment that rotates a node, by the
+    node's name. Nodes that no segment rotates are left out."""
 
 
 def own_motion(clip: Clip) -> RigMotion:
@@ -194,21 +184,14 @@ def own_motion(clip: Clip) -> RigMotion:
 
 
 def retargeted_motion(
-    target: TargetRig,
-    motion: Retargeted,
-    skeleton: Skeleton,
-    travel: Travel = "travel",
+    target: TargetRig, motion: Retargeted, skeleton: Skeleton, travel: Travel = "travel"
 ) -> RigMotion:
-    """Return a sensor's motion on another skeleton, whose nodes turn each for itself.
-
-    ``travel`` says what is left of its way over the floor.
-    """
+    """Return a motion of the sensor's skeleton on a target, with the root motion."""
     rest, mover = target.rest, target.joint("pelvis")
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
-    segments, root = np.arange(len(rest)), rest.positions[0]
-    known = (rest.names, rest.parents, offsets, segments, root, rest.axes, mover)
-    rig = Rig(*known, rest.axes_in_bvh)
+    tree = (rest.names, rest.parents, offsets, np.arange(len(rest)), rest.positions[0])
+    rig = Rig(*tree, rest.axes, mover, rest.axes_in_bvh)
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":
         frame = rig_frame(target, motion)

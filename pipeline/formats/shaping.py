@@ -1,4 +1,4 @@
-"""What is done to a clip before it is written, whatever the format."""
+"""Changes to a clip before it is written, whatever the format."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from .rig import Travel
 
 
 def shaped(clip: Clip, export: Export) -> Clip:
-    """Return the part of a clip that is asked for, at its rate, as a loop, in its T.
+    """Return a clip with the span, frame rate, loop and rest pose of an export.
 
-    Without a rig, which has a way of its own over the floor, as little of it as asked.
-
-    Raises InputError where there is no such part, as ``even_frames``, or as ``looped``.
+    The root motion is that of the export, too, unless a rig has its own. Raises
+    InputError as ``span_of``, ``even_frames`` and ``looped``.
     """
     if (export.begin, export.end) != (None, None):
         clip = clip.at(span_of(export, clip.time, clip.source))
@@ -32,7 +31,7 @@ def shaped(clip: Clip, export: Export) -> Clip:
 
 
 def kept_still(clip: Clip, travel: Travel) -> Clip:
-    """Return a clip with no more than some of its way over the floor; props with it."""
+    """Return a clip with only the root motion of ``travel``; props follow the root."""
     if travel == "travel":
         return clip
     left = np.array([1.0, 0.0, 0.0])
@@ -43,16 +42,13 @@ def kept_still(clip: Clip, travel: Travel) -> Clip:
         clip,
         root=frame.remove(clip.root[:, None])[:, 0],
         rotations=frame.remove_rotations(clip.rotations),
-        props=tuple(_seen_from(frame, prop) for prop in clip.props),
+        props=tuple(_in_frame(frame, prop) for prop in clip.props),
     )
 
 
-def _seen_from(frame: HeadingFrame, prop: Prop) -> Prop:
+def _in_frame(frame: HeadingFrame, prop: Prop) -> Prop:
     shape = len(frame.yaw), 1
     places = np.broadcast_to(prop.positions[:, None], (*shape, 3))
     turns = np.broadcast_to(prop.rotations[:, None], (*shape, 4))
-    return replace(
-        prop,
-        positions=frame.remove(places)[:, 0],
-        rotations=frame.remove_rotations(turns)[:, 0],
-    )
+    places, turns = frame.remove(places)[:, 0], frame.remove_rotations(turns)[:, 0]
+    return replace(prop, positions=places, rotations=turns)

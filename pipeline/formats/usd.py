@@ -1,34 +1,16 @@
-"""Clips as USD: a skinned character (UsdSkel), its animation, and what is around it.
+"""Writing clips as USD: a skinned character (UsdSkel), its animation and props.
 
 ``/Character`` is the SkelRoot, with ``Skeleton`` (rest and bind transforms in T-pose),
 ``Skin`` (one mesh bound to it), ``Animation``, extents in every frame, and in a scene
-``Props``. With ``--character`` a clip refers to another layer for skeleton and skin. On
-somebody else's rig it is skeleton and animation alone: they have its skin, and props
-are where our proportions reach them.
+``Props``. With ``--character`` a clip references another layer for skeleton and skin.
+With a rig it has only skeleton and animation: the rig has its own skin, and the props
+are within reach of our proportions, not of the rig's.
 
-Per frame, ``/Character`` has these attributes ``kinefilter:NAME``. Arrays are in the
-order of ``joints``, lengths in meters whatever the stage's unit:
-
-- ``reliability`` in [0, 1] of each joint's measurement; which term decided it is
-  ``decidingTerm``, an index of ``decidingTermNames``
-- ``origin``: where each joint came from, an index of ``originNames``
-- ``movedByCorrection``, ``movedByPhysics``: how far each joint was moved, -1 where
-  nothing was measured
-- ``uncertainty``: how far each joint may be off, relative to the hips, the standard
-  deviation of each coordinate; -1 where nobody knows
-- ``contacts``: which of ``contactNames`` stand on the floor
-- ``externalForce``: body weights that no muscle and no floor gives; no sample without
-  physics
-
-What cleaning did to the whole take is written once, unless it is unknown:
-
-- ``sensorTilt``: angle in radians by which the take was turned about the sensor's x
-  axis, positive where the floor rose away from the sensor: ``y cos - z sin`` is up
-- ``floorHeight``: height of the floor in the take so leveled, which was then taken off
-- ``root``: what is left of the way over the floor: ``travel``, ``in-place`` or
-  ``none``; standing feet are still only in the first
-- ``sensorRoll``: angle in radians by which the take was turned about z before that,
-  from x to y; not there if it was not
+Provenance is in attributes ``kinefilter:NAME`` of ``/Character``, with the names and
+meanings of GLB's ``extras`` (CONVENTIONS.md), but fractions and meters instead of
+percent and millimeters, whatever the stage's unit; -1 where unknown. ``externalForce``
+has no sample without physics. ``sensorTilt``, ``floorHeight`` and ``sensorRoll`` are
+left out where unknown, or if there was no roll.
 """
 
 from __future__ import annotations
@@ -52,41 +34,26 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous
 from kinefilter.characters.skin import skin_of
 
-from .export import ONCE, PER_FRAME, Export, name_tables, whole_rate
+from . import usd_character as parts
+from .export import PER_CLIP, PER_FRAME, Export, name_tables, whole_rate
 from .files import atomic_path
 from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
-from .usd_character import (
-    ANIMATION,
-    CHARACTER,
-    SKELETON,
-    SKIN,
-    check_character,
-    define_character,
-    define_props,
-    define_skeleton,
-    joint_paths,
-    new_stage,
-    props_extent,
-    set_samples,
-    vectors,
-)
+from .usd_character import CHARACTER, SKELETON, SKIN, joint_paths, set_samples, vectors
 
 _STAMP = (1980, 1, 2, 0, 0, 0, 0, 0, -1)
-"""Time of what a package holds, so that equal clips give equal bytes: local time, which
-zip keeps, wherever this runs; zip knows no earlier year."""
-_CODE_DECIMALS = 6  # of a frame: takes rounding errors off whole frames, nothing else
-_UNMEASURED = -1.0
+"""Local time of the file in a package, which zip stores, so that equal clips give equal
+bytes in every time zone; zip knows no earlier year."""
+_CODE_DECIMALS = 6  # of a frame: removes rounding errors from whole frames
+_UNKNOWN = -1.0
 
 
-def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
+def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None:
     """Write a clip as a UsdSkel character in T-pose, its animation and its props.
 
-    A frame's time code is its time since the first frame times ``timeCodesPerSecond``.
-    Frames with the same time share a sample, the last one's; one more ends a long gap,
-    without provenance, so that the character holds still until then. ``.usda`` is text,
-    ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package of one binary layer.
-    Raises InputError if the file cannot be written, or the character does not fit.
+    CONVENTIONS.md describes the time codes. ``.usda`` is text, ``.usdc`` and ``.usd``
+    are binary, ``.usdz`` is a package with one binary layer. Raises InputError if the
+    file cannot be written, or if the character does not match.
     """
     suffix = path.suffix.lower()
     try:
@@ -94,19 +61,19 @@ def write_usd(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
             temporary = files.enter_context(atomic_path(path))
             layer = temporary
             if suffix in (".usda", ".usdz"):
-                # Text by way of a binary layer needs less memory.
+                # Writing text via a binary layer needs less memory.
                 folder = files.enter_context(tempfile.TemporaryDirectory())
                 layer = Path(folder) / "clip.usdc"
             reference = _character_reference(clip, path, export, files)
-            _write_layer(clip, moved, layer, export, reference)
+            _write_layer(clip, motion, layer, export, reference)
             if suffix == ".usda":
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
             elif suffix == ".usdz":
                 os.utime(layer, (time.mktime(_STAMP),) * 2)
-                # Left without an end, it would write even after an interrupt.
+                # Without the with block, it would write even after an interrupt.
                 with Sdf.ZipFileWriter.CreateNew(str(temporary)) as package:
                     package.AddFile(str(layer), layer.name)
-                if not is_zipfile(temporary):  # it does not say that a disk is full
+                if not is_zipfile(temporary):  # it does not report a full disk
                     raise OSError(ENOSPC, os.strerror(ENOSPC))
     except Tf.ErrorException as error:
         raise InputError(
@@ -120,100 +87,98 @@ def _character_reference(
     if export.character is None:
         return None
     if export.character.exists():
-        check_character(export.character, rig_of(clip.body), export)
+        parts.check_character(export.character, rig_of(clip.body), export)
     else:
-        stage = new_stage(files.enter_context(atomic_path(export.character)), export)
-        define_character(stage, clip.body, export)
+        layer = files.enter_context(atomic_path(export.character))
+        stage = parts.new_stage(layer, export)
+        parts.define_character(stage, clip.body, export)
         stage.GetRootLayer().Save()
     relative = os.path.relpath(export.character.resolve(), path.parent.resolve())
     return f"./{Path(relative).as_posix()}"
 
 
 def _write_layer(
-    clip: Clip, moved: RigMotion, path: Path, export: Export, reference: str | None
+    clip: Clip, motion: RigMotion, path: Path, export: Export, reference: str | None
 ) -> None:
-    """Write a clip into a layer, with its character unless that is a reference."""
+    """Write a clip to a layer, with its character unless it references one."""
     rate = export.fps or whole_rate(clip.fps)
     codes = np.round((clip.time - clip.time[0]) * rate, _CODE_DECIMALS)
-    stage = new_stage(path, export)
+    stage = parts.new_stage(path, export)
     layer = stage.GetRootLayer()
     stage.SetTimeCodesPerSecond(rate)
     stage.SetFramesPerSecond(rate)
     stage.SetStartTimeCode(0.0)
     stage.SetEndTimeCode(float(codes[-1]))
     if export.rig is not None:
-        define_skeleton(stage, moved.rig, export)
+        parts.define_skeleton(stage, motion.rig, export)
         clip = replace(clip, props=())
     elif reference is None:
-        define_character(stage, clip.body, export)
-    define_props(stage, clip, export, codes)
-    _write_animation(stage, moved, export, codes)
-    # A binary layer reads back from its file what has been saved: an hour's samples
-    # would not fit into memory beside the clip.
+        parts.define_character(stage, clip.body, export)
+    parts.define_props(stage, clip, export, codes)
+    _animate(stage, motion, export, codes)
+    # Once saved, a binary layer reads its samples from the file: an hour of them would
+    # not fit into memory beside the clip.
     layer.Save()
-    _write_extents(layer, clip, moved, export, codes)
+    _write_extents(layer, clip, motion, export, codes)
     layer.Save()
     _hold_still(layer, clip, codes)
     _write_provenance(layer, clip, codes, export.root)
     if reference is not None:
-        # Last, when no stage looks for its layer, which may not be in its place yet.
+        # Last, once no stage resolves the reference: its layer may not exist yet.
         del stage
         references = layer.GetPrimAtPath(CHARACTER).referenceList
         references.Prepend(Sdf.Reference(reference))
     layer.Save()
 
 
-def _write_animation(
-    stage: Any, moved: RigMotion, export: Export, codes: Array
-) -> None:
-    """Write each frame's places and rotations of the nodes in their parents.
+def _animate(stage: Any, motion: RigMotion, export: Export, codes: Array) -> None:
+    """Write the local translations and rotations of the nodes in each frame.
 
-    Rotations are xyzw, as Gf keeps quaternions in memory, and do not change sign from
-    frame to frame, for readers that interpolate them number by number.
+    Rotations are xyzw, as Gf stores quaternions, and do not flip their sign from frame
+    to frame, for readers that interpolate the components.
     """
-    rig, layer = moved.rig, stage.GetRootLayer()
-    animation = UsdSkel.Animation.Define(stage, ANIMATION)
+    rig, layer = motion.rig, stage.GetRootLayer()
+    animation = UsdSkel.Animation.Define(stage, parts.ANIMATION)
     animation.CreateJointsAttr(joint_paths(rig))
     ones = np.ones((len(rig), 3), dtype=np.float16)
     animation.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(ones))
     translations = animation.CreateTranslationsAttr().GetPath()
     rotations = animation.CreateRotationsAttr().GetPath()
     binding = UsdSkel.BindingAPI.Apply(stage.OverridePrim(SKELETON))
-    binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
+    binding.CreateAnimationSourceRel().SetTargets([parts.ANIMATION])
     rest = export.points(rig.at_rest[0])
-    last = rig.local_rotations(moved.rotations[:1])
+    last = rig.local_rotations(motion.rotations[:1])
     for some in chunks(len(codes), FRAMES_AT_ONCE):
-        local = rig.local_rotations(moved.rotations[some])
+        local = rig.local_rotations(motion.rotations[some])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
         places = np.tile(rest, (len(wxyz), 1, 1))
-        for node, path in moved.places.items():
+        for node, path in motion.places.items():
             places[:, node] = export.points(path[some])
         set_samples(layer, translations, codes[some], map(vectors, places))
         xyzw = np.roll(export.axes(wxyz), -1, axis=-1).astype(np.float32)
-        quaternions = map(Vt.QuatfArray.FromNumpy, xyzw)
-        set_samples(layer, rotations, codes[some], quaternions)
+        set_samples(layer, rotations, codes[some], map(Vt.QuatfArray.FromNumpy, xyzw))
 
 
 def _write_extents(
-    layer: Any, clip: Clip, moved: RigMotion, export: Export, codes: Array
+    layer: Any, clip: Clip, motion: RigMotion, export: Export, codes: Array
 ) -> None:
-    """Write the boxes around joints, skin, and skin and props, in each frame."""
+    """Write the bounding boxes of joints, skin, and skin with props, in each frame."""
     joints = np.empty((len(clip), 2, 3))
     skin = np.empty_like(joints)
-    margins: Any = 0.0  # how far the skin reaches from each joint's bones [m]
+    margins: Any = 0.0  # from each joint to the surface of the skin, in file units
     if export.rig is None:
-        margins = skin_of(clip.body).margins
-        own = margins.copy()
+        reach = skin_of(clip.body).margins
+        margins = reach.copy()
         segments, parents = clip.skeleton.segments, clip.skeleton.segment_parents
-        np.maximum.at(own, parents, margins[segments])
-        margins = own[:, None] / export.meters_per_unit
+        np.maximum.at(margins, parents, reach[segments])
+        margins = margins[:, None] / export.meters_per_unit
     for some in chunks(len(clip), FRAMES_AT_ONCE):
-        points = export.points(moved.positions[some])
+        points = export.points(motion.positions[some])
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)
         skin[some, 1] = (points + margins).max(axis=1)
-    extents = {SKELETON: joints, CHARACTER: props_extent(clip, export, skin)}
+    extents = {SKELETON: joints, CHARACTER: parts.props_extent(clip, export, skin)}
     if export.rig is None:
         extents[SKIN] = skin
     for path, boxes in extents.items():
@@ -228,7 +193,7 @@ def _write_extents(
 
 
 def _hold_still(layer: Any, clip: Clip, codes: Array) -> None:
-    """Repeat all samples so far at the end of long gaps: readers interpolate."""
+    """Repeat all samples so far at the end of long gaps, since readers interpolate."""
     ends = [part.start for part in parts_of(clip.time)[1:]]
 
     def hold(path: Any) -> None:
@@ -243,8 +208,7 @@ def _hold_still(layer: Any, clip: Clip, codes: Array) -> None:
 
 
 def _write_provenance(layer: Any, clip: Clip, codes: Array, root: str) -> None:
-    types = Sdf.ValueTypeNames
-    character = layer.GetPrimAtPath(CHARACTER)
+    types, character = Sdf.ValueTypeNames, layer.GetPrimAtPath(CHARACTER)
 
     def attribute(name: str, kind: Any) -> Any:
         name = f"kinefilter:{name}"
@@ -253,7 +217,7 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array, root: str) -> None:
     attribute("root", types.Token).default = root
     for name, values in name_tables(clip.skeleton).items():
         attribute(name, types.TokenArray).default = Vt.TokenArray(values)
-    for name, field in ONCE.items():
+    for name, field in PER_CLIP.items():
         number = getattr(clip, field)
         if np.isfinite(number) and (number or field != "roll"):
             attribute(name, types.Double).default = number
@@ -261,7 +225,7 @@ def _write_provenance(layer: Any, clip: Clip, codes: Array, root: str) -> None:
         rows = getattr(clip, field)
         kind = {"f": "HalfArray", "u": "UCharArray", "b": "BoolArray"}[rows.dtype.kind]
         if kind == "HalfArray":
-            rows = np.where(np.isnan(rows), _UNMEASURED, rows).astype(np.float16)
+            rows = np.where(np.isnan(rows), _UNKNOWN, rows).astype(np.float16)
         arrays = map(getattr(Vt, kind).FromNumpy, np.ascontiguousarray(rows))
         set_samples(layer, attribute(name, getattr(types, kind)).path, codes, arrays)
         if kind == "HalfArray":

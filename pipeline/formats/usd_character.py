@@ -1,4 +1,4 @@
-"""What a USD clip shows: the skeleton in T-pose with its mesh, and the props."""
+"""Static parts of a USD clip: the skeleton in T-pose, its mesh, and the props."""
 
 from __future__ import annotations
 
@@ -12,17 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
-from kinefilter.characters import (
-    Body,
-    Clip,
-    InputError,
-    Shape,
-)
+from kinefilter.characters import Body, Clip, InputError, Shape
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
-from .export import COLOR, LINEAR, Export
+from .export import GAMMA, SKIN_COLOR, Export
 from .guarded import read_usd
 from .rig import Rig, rig_of
 
@@ -30,7 +25,6 @@ CHARACTER = "/Character"
 SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
-
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
@@ -46,30 +40,28 @@ def new_stage(path: Path, export: Export) -> Any:
 
 
 def set_samples(layer: Any, path: Any, codes: Array, values: Iterable[Any]) -> None:
-    """Set time samples straight in a layer: a stage looks each one up again."""
+    """Set time samples in a layer; going through a stage would look up each one."""
     with Sdf.ChangeBlock():
         for code, value in zip(codes.tolist(), values, strict=True):
             layer.SetTimeSample(path, code, value)
 
 
 def joint_paths(rig: Rig) -> list[str]:
-    """Return the path of each node from the root on, as UsdSkel names joints."""
+    """Return the path of each node from the root, as UsdSkel names joints."""
     paths: list[str] = []
-    names = [Tf.MakeValidIdentifier(name) for name in rig.names]
-    for name, parent in zip(names, rig.parents, strict=True):
-        paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
+    for name, parent in zip(rig.names, rig.parents, strict=True):
+        path = Tf.MakeValidIdentifier(name)
+        paths.append(path if parent < 0 else f"{paths[parent]}/{path}")
     return paths
 
 
 def check_character(path: Path, rig: Rig, export: Export) -> None:
-    """Raise an InputError if clips of a rig cannot go over a character's layer."""
-    found = _character(str(path), path.stat().st_mtime_ns)
-    if found["joints"].tolist() != joint_paths(rig):
-        raise InputError(
-            f"{path}: {SKELETON} does not have this take's joints; give --character "
-            "another name for this kind of sensor"
-        )
-    up, unit = str(found["up"]), found["unit"].item()
+    """Raise an InputError if clips of a rig cannot reference a character layer."""
+    layer = _character(str(path), path.stat().st_mtime_ns)
+    if layer["joints"].tolist() != joint_paths(rig):
+        wrong = "does not have this take's joints; give --character another name"
+        raise InputError(f"{path}: {SKELETON} {wrong}")
+    up, unit = str(layer["up"]), layer["unit"].item()
     if up != export.up or not np.isclose(unit, export.meters_per_unit):
         raise InputError(
             f"{path}: the character has {up} up and units of {unit:g} m, the clip "
@@ -79,7 +71,7 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
 
 @lru_cache(maxsize=4)
 def _character(path: str, _changed: int) -> dict[str, NDArray[Any]]:
-    """Return ``character_arrays``, read once for the clips of a batch."""
+    """Return ``character_arrays``, read once for all clips of a batch."""
     return read_usd("character_arrays", path)
 
 
@@ -87,8 +79,7 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     """Define a skeleton at rest under ``/Character``."""
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(joint_paths(rig))
-    places, turns = rig.at_rest
-    skeleton.CreateRestTransformsAttr(_transforms(places, turns, export))
+    skeleton.CreateRestTransformsAttr(_transforms(*rig.at_rest, export))
     bind = _transforms(rig.rest_positions, rig.axes, export)
     skeleton.CreateBindTransformsAttr(bind)
     _set_extent(stage, export.points(rig.rest_positions), SKELETON)
@@ -102,11 +93,11 @@ def define_character(stage: Any, body: Body, export: Export) -> None:
     mesh = _mesh(stage, SKIN, points, skin.quads)
     mesh.CreateNormalsAttr(vectors(export.axes(skin.normals)))
     mesh.SetNormalsInterpolation("vertex")
-    mesh.CreateDisplayColorAttr([Gf.Vec3f(*COLOR)])
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(*SKIN_COLOR)])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([SKELETON])
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
-    nodes = rig.starts[skin.segments].astype(np.int32)
+    nodes = rig.segment_nodes[skin.segments].astype(np.int32)
     indices = binding.CreateJointIndicesPrimvar(False, INFLUENCES)
     indices.Set(Vt.IntArray.FromNumpy(nodes.ravel()))
     weights = binding.CreateJointWeightsPrimvar(False, INFLUENCES)
@@ -121,12 +112,12 @@ def _set_extent(stage: Any, points: Array, path: str) -> None:
 
 
 def vectors(values: NDArray[Any]) -> Any:
-    """Return rows of three numbers as USD keeps them, in single precision."""
+    """Return rows of three numbers as a USD array in single precision."""
     return Vt.Vec3fArray.FromNumpy(values.astype(np.float32))
 
 
 def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
-    """Return matrices of places [m] (N, 3) and rotations (N, 4), None: identity."""
+    """Return matrices from positions [m] (N, 3) and rotations (N, 4), if any."""
     matrices = np.tile(np.eye(4), (len(places), 1, 1))
     if turns is not None:
         turned = matrix_from_wxyz(export.axes(turns))
@@ -136,26 +127,24 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
 
 
 def _mesh(stage: Any, path: Any, points: Array, faces: NDArray[Any]) -> Any:
-    """Define a mesh of faces that have as many corners each, shape (F, C)."""
     mesh = UsdGeom.Mesh.Define(stage, path)
-    corners = faces.astype(np.int32)
+    corners = faces.astype(np.int32).ravel()
     mesh.CreatePointsAttr(vectors(points))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), corners.shape[1]))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(*faces.shape))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     return mesh
 
 
 def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
-    """Define every prop of a clip, with the time code of each frame, shape (T,)."""
+    """Define every prop of a clip; ``codes`` are the frames' time codes (T,)."""
     if not clip.props:
         return
     folder = UsdGeom.Xform.Define(stage, f"{CHARACTER}/Props").GetPath()
     for prop in clip.props:
-        name = Tf.MakeValidIdentifier(prop.name)
-        while stage.GetPrimAtPath(folder.AppendChild(name)):
-            name += "_"
-        path = folder.AppendChild(name)
+        path = folder.AppendChild(Tf.MakeValidIdentifier(prop.name))
+        while stage.GetPrimAtPath(path):
+            path = folder.AppendChild(f"{path.name}_")
         prim = UsdGeom.Xform.Define(stage, path)
         places, turns = export.points(prop.positions), export.axes(prop.rotations)
         _move(prim, places, turns, codes if prop.moves else None)
@@ -164,17 +153,15 @@ def define_props(stage: Any, clip: Clip, export: Export, codes: Array) -> None:
 
 
 def _move(prim: Any, places: Array, turns: Array, codes: Array | None) -> None:
-    """Place a prim: for good, or with one sample per time code."""
-    translate, orient = prim.AddTranslateOp(), prim.AddOrientOp()
-    translations = [Gf.Vec3d(*place) for place in places.tolist()]
-    rotations = [Gf.Quatf(*turn) for turn in turns.tolist()]
-    if codes is None:
-        translate.Set(translations[0])
-        orient.Set(rotations[0])
-        return
+    """Place a prim: permanently, or with a sample for each time code."""
+    translate = prim.AddTranslateOp(), [Gf.Vec3d(*place) for place in places.tolist()]
+    orient = prim.AddOrientOp(), [Gf.Quatf(*turn) for turn in turns.tolist()]
     layer = prim.GetPrim().GetStage().GetRootLayer()
-    set_samples(layer, translate.GetAttr().GetPath(), codes, translations)
-    set_samples(layer, orient.GetAttr().GetPath(), codes, rotations)
+    for operation, values in (translate, orient):
+        if codes is None:
+            operation.Set(values[0])
+        else:
+            set_samples(layer, operation.GetAttr().GetPath(), codes, values)
 
 
 def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
@@ -198,13 +185,13 @@ def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     if shape.kind in ("box", "ellipsoid"):
         size = np.abs(export.points(shape.size))
         geometry.AddScaleOp().Set(Gf.Vec3f(*size.tolist()))
-    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**LINEAR).tolist())])
+    geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**GAMMA).tolist())])
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins
     geometry.CreateExtentAttr(extent(geometry, Usd.TimeCode.Default()))
 
 
 def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:
-    """Return boxes (T, 2, 3), lowest and highest corner, grown to hold the props."""
+    """Return boxes (T, 2, 3), lowest and highest corner, enlarged to hold the props."""
     grown = boxes.copy()
     for prop in clip.props:
         shapes = [

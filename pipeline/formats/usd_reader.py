@@ -1,29 +1,21 @@
-"""USD read back: whole clips of ours, joint positions and figures of any file.
+"""Reading USD: whole clips of kinefilter, joint positions and contents of any file.
 
-Files from outside are read in a process of its own (``guarded``): the functions that
-return arrays by name are what it does.
+Files from outside are read in a separate process (``guarded``), which calls the
+functions here that return arrays by name.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Tf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Usd, UsdGeom, UsdSkel, Vt
 
-from kinefilter.characters import (
-    Clip,
-    InputError,
-    Prop,
-    Shape,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import Clip, InputError, Prop, Shape, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import (
     about_x,
@@ -32,24 +24,22 @@ from kinefilter.characters.rotations import (
     wxyz_from_matrix,
 )
 
-from .export import LINEAR, ONCE, PER_FRAME, name_tables, with_y_up
+from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, name_tables, refused, with_y_up
 from .files import AnyPath, check_file
 from .npz import clip_as_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
 from .usd_character import CHARACTER, SKELETON
 
 _MOST_JOINTS = 1000  # as in BVH
-_BROKEN = (RuntimeError, ValueError, LookupError, TypeError, AttributeError)
-_UNFIT = "its skeleton and animation do not fit; export it again"
-_KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # others have the same name
+_KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # the other shapes have the same name
 
 
 def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
-    """Return where UsdSkel puts the joints of the first animated skeleton.
+    """Return the joint positions that UsdSkel computes for the first animated skeleton.
 
-    Time of each sample since time code 0 [s], shape (T,); joint names, shape (N,);
-    world positions [m], stage axes, shape (T, N, 3). Raises InputError if the file
-    cannot be opened or has no animated skeleton.
+    Returns the time of each sample since time code 0 [s] (T,), joint names (N,), and
+    world positions [m] in stage axes (T, N, 3). Raises InputError if the file cannot be
+    opened or has no animated skeleton.
     """
     stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
     positions = np.empty((len(codes), len(names), 3))
@@ -62,8 +52,8 @@ def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
 
 
 def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return units, axis, rate, joints and duration of an animation, as JSON."""
-    with _refused(path):
+    """Return units, up axis, rate, joints and duration of an animation, as JSON."""
+    with refused(path, DAMAGED):
         stage, *_ = _first_animated(path)
         time, names, _ = read_usd_positions(path)
         prims = stage.Traverse()
@@ -85,51 +75,51 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return a clip that kinefilter wrote as USD on its skeleton, as npz keeps it.
+    """Return a clip that kinefilter wrote on its own skeleton, as npz stores it.
 
-    Axes and unit are undone; frame rate and rest pose are the file's, and time starts
-    at 0. USD does not hold the sensor's states (all joints count as tracked), nor
-    stature and mass, which follow from the segments.
+    Axes and unit are converted back, and time starts at 0. The sensor's states are
+    unknown, so all joints count as tracked; stature and mass come from the segments.
     """
-    with _refused(path):
-        stage, found, query, names, codes = _first_animated(path)
+    with refused(path, DAMAGED):
+        stage, skeleton_prim, query, names, codes = _first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
-            raise InputError(
-                f"{path}: its skeleton ({', '.join(names[:3])[:60]}, ...) is not one "
-                "of kinefilter's own; write it without --rig or as .npz to read it"
-            )
-        rated = stage.GetPrimAtPath(CHARACTER).GetAttribute("kinefilter:reliability")
+            first = ", ".join(names[:3])[:60]
+            wrong = f"its skeleton ({first}, ...) is not one of kinefilter's own"
+            raise InputError(f"{path}: {wrong}; write it without --rig, or as .npz")
+        character = stage.GetPrimAtPath(CHARACTER)
+        rated = character.GetAttribute("kinefilter:reliability")
         if rated and (frames := set(rated.GetTimeSamples())):
-            # What only ends a long gap is no frame of the clip.
+            # A sample that only ends a long gap is not a frame of the clip.
             codes = [code for code in codes if code in frames]
         meters = UsdGeom.GetStageMetersPerUnit(stage)
-        turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
-        axes = with_y_up if turned else np.asarray
+        z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+        axes = with_y_up if z_up else np.asarray
         animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
-        rest = np.array(UsdSkel.Skeleton(found).GetRestTransformsAttr().Get())
+        rest = np.array(UsdSkel.Skeleton(skeleton_prim).GetRestTransformsAttr().Get())
         places = _samples(animation.GetTranslationsAttr(), codes)
         xyzw = _samples(animation.GetRotationsAttr(), codes)
         folder, props = stage.GetPrimAtPath(f"{CHARACTER}/Props"), []
         for prim in folder.GetChildren() if folder else ():
             shapes = tuple(_shape(part, axes, meters) for part in prim.GetChildren())
             where, turns = _placed(prim, codes)
-            where, turns = axes(where) * meters, axes(turns)
-            props.append(Prop(prim.GetName(), shapes, where, turns))
+            props.append(
+                Prop(prim.GetName(), shapes, axes(where) * meters, axes(turns))
+            )
         turns = axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64)))
         world = rig_of(standard_body(skeleton)).world_rotations(turns)
         root = axes(places[:, 0].astype(np.float64)) * meters
         time = np.array(codes) / stage.GetTimeCodesPerSecond()
         offsets = axes(rest[:, 3, :3]) * meters
         motion = motion_of_rig(skeleton, offsets, world, root, time, path)
-        known = _provenance(stage.GetPrimAtPath(CHARACTER), codes, skeleton, path)
-        return clip_as_arrays(Clip.of(motion, **known, props=tuple(props)))
+        provenance = _provenance(character, codes, skeleton, path)
+        return clip_as_arrays(Clip.of(motion, **provenance, props=tuple(props)))
 
 
 def character_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return joints, axis and unit of a character's layer, or raise InputError."""
-    known = "a layer of 'kinefilter clean --character', or a name that is free"
-    with _refused(path, f"cannot be read as USD; give --character {known}"):
+    """Return joints, up axis and unit of a character layer, or raise InputError."""
+    expected = "a layer from 'kinefilter clean --character', or an unused name"
+    with refused(path, f"cannot be read as USD; give --character {expected}"):
         stage = Usd.Stage.Open(path)
         skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
         joints = skeleton.GetJointsAttr().Get() if skeleton else None
@@ -142,7 +132,7 @@ def character_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
     """Return the first skeleton at rest, y up, in meters, or raise InputError."""
-    with _refused(path, "not USD; expected a UsdSkel skeleton"):
+    with refused(path, "not USD; expected a UsdSkel skeleton"):
         stage = Usd.Stage.Open(path)
         prims = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]
         if not prims:
@@ -155,15 +145,13 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
     turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)
     if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
-        raise InputError(
-            f"{path}: a joint is mirrored or has no size at rest; apply its scale"
-        )
+        raise InputError(f"{path}: a joint is mirrored or has no size; apply its scale")
     axes = wxyz_from_matrix(turned / sizes)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        # Turning the world does not rename the axes of bones.
+        # Turning the world must not rename the axes of bones.
         places, axes = with_y_up(places), multiply(about_x(-np.pi / 2.0), axes)
-    known = {"names": names, "parents": parents, "places": places, "axes": axes}
-    return {key: np.array(value) for key, value in known.items()}
+    arrays = {"names": names, "parents": parents, "places": places, "axes": axes}
+    return {key: np.array(value) for key, value in arrays.items()}
 
 
 def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
@@ -171,8 +159,8 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
 
     def read(attribute: Any) -> Array:
         value = attribute.Get()
-        known = isinstance(value, Vt.Matrix4dArray)
-        return np.array(value, dtype=float) if known else np.empty((0, 4, 4))
+        valid = isinstance(value, Vt.Matrix4dArray)
+        return np.array(value, dtype=float) if valid else np.empty((0, 4, 4))
 
     joints = skeleton.GetJointsAttr().Get()
     paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
@@ -187,33 +175,22 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     if len(matrices) != len(paths):
         matrices = read(skeleton.GetBindTransformsAttr())
     else:
-        with np.errstate(all="ignore"):  # a damaged file is refused below
+        with np.errstate(all="ignore"):  # values that are not finite are refused below
             for n, parent in enumerate(parents):
                 if parent >= 0:
                     matrices[n] = matrices[n] @ matrices[parent]
     if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
         raise InputError(
             f"{source}: has no rest transform for each of its {len(paths)} joints; "
-            "export it with rest or bind pose"
+            "export it with a rest or bind pose"
         )
     return [path.rpartition("/")[2] for path in paths], parents, matrices
-
-
-@contextmanager
-def _refused(path: str, wrong: str = _UNFIT) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        told = str(error)
-        raise InputError(told if path in told else f"{path}: {told}") from None
-    except (Tf.ErrorException, *_BROKEN):
-        raise InputError(f"{path}: {wrong}") from None
 
 
 def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     """Return stage, prim, query, joint names and time codes of a skeleton."""
     cache = UsdSkel.Cache()
-    with _refused(path, "cannot be read as USD; expected .usda, .usdc or .usd"):
+    with refused(path, "cannot be read as USD; expected .usda, .usdc or .usd"):
         stage = Usd.Stage.Open(path)
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Root):
@@ -234,38 +211,38 @@ def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:
 def _provenance(
     character: Any, codes: Sequence[float], skeleton: Skeleton, path: str
 ) -> dict[str, Any]:
-    for name, ours in name_tables(skeleton).items():
-        theirs = character.GetAttribute(f"kinefilter:{name}").Get()
-        if theirs is not None and list(theirs) != ours[: len(theirs)]:
+    def attribute(name: str) -> Any:
+        return character.GetAttribute(f"kinefilter:{name}")
+
+    for name, expected in name_tables(skeleton).items():
+        found = attribute(name).Get()
+        if found is not None and list(found) != expected[: len(found)]:
             raise InputError(
-                f"{path}: kinefilter:{name} are {', '.join(theirs)[:60]}, expected "
-                f"{', '.join(ours)[:60]}; write the clip again"
+                f"{path}: kinefilter:{name} are {', '.join(found)[:60]}, expected "
+                f"{', '.join(expected)[:60]}; write the clip again"
             )
     arrays: dict[str, Any] = {}
     for name, field in PER_FRAME.items():
-        attribute = character.GetAttribute(f"kinefilter:{name}")
-        if attribute and attribute.GetTimeSamples():
-            values = _samples(attribute, codes)
+        if attribute(name) and attribute(name).GetTimeSamples():
+            values = _samples(attribute(name), codes)
             if values.dtype.kind == "f":
                 values[values < 0.0] = np.nan
             arrays[field] = values
-    force = character.GetAttribute("kinefilter:externalForce")
+    force = attribute("externalForce")
     simulated = set(force.GetTimeSamples()) if force else set()
-    arrays["external_force"] = np.array(
-        [force.Get(code) if code in simulated else np.nan for code in codes]
-    )
-    for name, field in ONCE.items():
-        number = character.GetAttribute(f"kinefilter:{name}").Get()
-        absent = 0.0 if field == "roll" else np.nan
-        arrays[field] = absent if number is None else float(number)
+    forces = [force.Get(code) if code in simulated else np.nan for code in codes]
+    arrays["external_force"] = np.array(forces)
+    for name, field in PER_CLIP.items():
+        number = attribute(name).Get()
+        missing = 0.0 if field == "roll" else np.nan
+        arrays[field] = missing if number is None else float(number)
     return arrays
 
 
 def _placed(prim: Any, codes: Sequence[float]) -> tuple[Array, Array]:
-    """Return a prim's places (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
-    translate, orient = (
-        prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
-    )
+    """Return a prim's positions (T, 3) and rotations wxyz (T, 4); T is 1 at rest."""
+    translate = prim.GetAttribute("xformOp:translate")
+    orient = prim.GetAttribute("xformOp:orient")
     times = codes if translate.GetTimeSamples() else codes[:1]
     turns = [orient.Get(code) for code in times]
     wxyz = np.array([[turn.GetReal(), *turn.GetImaginary()] for turn in turns])
@@ -288,6 +265,6 @@ def _shape(prim: Any, axes: Callable[[Array], Array], meters: float) -> Shape:
         size = np.array([radius, 0.5 * height, radius]) * meters
     else:
         size = np.abs(axes(number("xformOp:scale"))) * meters
-    ours: Any = _KINDS.get(kind, kind.lower())
-    color = number("primvars:displayColor")[0] ** (1.0 / LINEAR)
-    return Shape(ours, size, axes(place) * meters, axes(turn), color, points, triangles)
+    kind_name: Any = _KINDS.get(kind, kind.lower())
+    color, place = number("primvars:displayColor")[0] ** (1.0 / GAMMA), axes(place)
+    return Shape(kind_name, size, place * meters, axes(turn), color, points, triangles)
