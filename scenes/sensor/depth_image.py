@@ -34,7 +34,7 @@ _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """A sensor's image of a person: rows from the top, columns from the sensor's left."""
+    """An image of a person, with rows from the top, columns from the sensor's left."""
 
     depth: Array
     """Distance along the sensor's z axis [m], BACKGROUND without a person, (H, W)."""
@@ -78,7 +78,11 @@ class DepthCamera:
     def take(
         self, positions: Array, rotations: Array, props: Sequence[Array] = ()
     ) -> DepthImage:
-        """Return the noiseless image of a posture: one frame of ``PosedBody.cast``."""
+        """Return the noiseless image of a posture.
+
+        ``positions`` (J, 3), ``rotations`` (J, 4) and ``props``, each (7,), are one
+        frame of those of ``PosedBody.cast``.
+        """
         empty = np.full(self._shape, BACKGROUND)
         image = DepthImage(empty, np.full(self._shape, -1), self._focal)
         rows, columns = self._box(in_sensor_frame(positions, self.sensor))

@@ -23,7 +23,7 @@ from kinefilter.scenes.library.performers import perform_medley
 from .depth_tracker import track_in_depth
 from .geometry import SENSORS, Sensor, in_sensor_frame
 from .tracker_errors import TrackerErrors, with_position_errors
-from .tracker_states import tracking_states, with_guesses, with_swaps
+from .tracker_states import swapped_joints, tracking_states, with_guesses
 from .visibility import look
 
 Tracker = Literal["model", "depth"]
@@ -78,7 +78,8 @@ def observe(
         in_view &= in_view[:, [motion.skeleton.root]]
         state = tracking_states(motion, sight, in_view, errors, rng)
         placed = with_guesses(placed, motion, sight, state, errors, rng)
-        placed = with_swaps(placed, motion, sight, sensor, errors, rng)
+        swap = swapped_joints(motion, sight, sensor, errors, rng)[..., None]
+        placed = np.where(swap, placed[:, motion.skeleton.mirror], placed)
         positions = in_sensor_frame(placed, sensor)
         positions[state == State.NOT_TRACKED] = np.nan
     arrived = rng.random(len(motion)) >= sensor.dropped_share

@@ -41,7 +41,7 @@ V1_NAMES = {
 the values of the joint beside them, a guess."""
 
 # Per joint: offsets [cm] along the rest axes (left, up, forward) of the segment that
-# ends at it and of the one that starts there; size of its moving error relative to the
+# ends at it and of the one that starts there; size of its varying error relative to the
 # mean joint's; correlation of this error with that of the joint's parent. Spine and
 # Hand are guessed from their neighbors. Some sizes were adjusted by hand where the sum
 # of all errors was off: feet move least and would wobble too little, and the offsets
@@ -105,8 +105,7 @@ class TrackerErrors:
     hidden_wobble: float = 2.0
     """Increase of the wobble of a fully hidden joint, as a multiple of the wobble."""
     blur: float = 0.004
-    """Mean and standard deviation of the delay of the measurement behind the frame's
-    time stamp [s]."""
+    """Mean and standard deviation of a measurement's lag behind its time stamp [s]."""
     grain: float = 5.0
     """Number of neighboring pixels that share one depth error."""
     prop: float = 0.5
@@ -117,14 +116,11 @@ class TrackerErrors:
     doubt_time: float = 0.3
     """Time constant of that error [s]."""
     trust: float = 0.0
-    """Increase of the believed visible share that a part needs for its joint to be
-    tracked (``tracker_states``)."""
+    """Extra visible share that a joint needs to be tracked (``tracker_states``)."""
     merging: float = 0.2
-    """Reduction of the believed visible share of a part whose surroundings are all at
-    its own depth."""
+    """Visible share lost when all surroundings are at the part's own depth."""
     fast: float = 0.08
-    """Reduction of the believed visible share of a part per meter per second of its
-    speed relative to the trunk [s/m], for motion blur."""
+    """Visible share lost to motion blur, per speed relative to the root [s/m]."""
     guess: float = 1.0
     """Share of the way that a fully hidden joint moves from the measurement to the
     tracker's guess."""
@@ -165,7 +161,7 @@ def joint_offsets(skeleton: Skeleton) -> Array:
 
 
 def error_scales(skeleton: Skeleton) -> Array:
-    """Return the size of each joint's moving error relative to the mean, shape (J,)."""
+    """Return the size of each joint's varying error relative to the mean, (J,)."""
     return np.array([row[2] for row in _table(skeleton)])
 
 
@@ -244,9 +240,7 @@ def _posture_error(motion: Motion, errors: TrackerErrors, person: Generator) -> 
     weights = person.normal(size=(_FEATURES, len(skeleton), 3))
     weights = np.sqrt(2.0 / _FEATURES) * (error_mixing(skeleton) @ weights)
     error = np.empty(bones.shape)
-    tops = [
-        skeleton.index(j) for j in skeleton.joints if j.startswith(("Elbow", "Knee"))
-    ]
+    tops = skeleton.sides("Elbow") + skeleton.sides("Knee")
     limbs = [[top, *skeleton.beyond(top)] for top in tops]
     trunk = [j for j in range(len(skeleton)) if not any(j in limb for limb in limbs)]
     for part, posture in [(trunk, trunk), *((limb, limb + trunk) for limb in limbs)]:

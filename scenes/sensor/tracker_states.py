@@ -122,17 +122,12 @@ def _usual_offsets(motion: Motion) -> Array:
     return rotate(motion.rotations[:, body.skeleton.root, None], usual)
 
 
-def with_swaps(
-    positions: Array,
-    motion: Motion,
-    sight: Sight,
-    sensor: Sensor,
-    errors: TrackerErrors,
-    rng: Generator,
-) -> Array:
-    """Return positions [m], world frame, with some limbs swapped left and right."""
+def swapped_joints(
+    motion: Motion, sight: Sight, sensor: Sensor, errors: TrackerErrors, rng: Generator
+) -> Flags:
+    """Return True for joints that are swapped with those of the other side, (T, J)."""
     fps, root = motion.fps, motion.skeleton.root
-    swap = np.zeros(positions.shape[:2], dtype=bool)
+    swap = np.zeros(sight.rival.shape, dtype=bool)
     left_arm, right_arm, left_leg, right_leg = _limbs(motion.skeleton)
     for limbs in (left_arm + right_arm, left_leg + right_leg):
         rival = sight.rival[:, limbs].max(axis=1)
@@ -145,4 +140,4 @@ def with_swaps(
     forward = rotate(motion.rotations[:, root], np.array([0.0, 0.0, 1.0]))
     facing = np.sum(forward * toward, axis=-1)
     swap ^= (facing < np.cos(errors.mirrored_beyond))[:, None]
-    return np.where(swap[..., None], positions[:, motion.skeleton.mirror], positions)
+    return swap
