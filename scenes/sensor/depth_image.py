@@ -56,12 +56,7 @@ class DepthImage:
 
 
 class DepthCamera:
-    """A depth camera in front of a body in a scene.
-
-    Args:
-        posed: The body and its surroundings.
-        sensor: Placement, optics and range of the camera.
-    """
+    """A sensor that takes depth images of a body in a scene."""
 
     def __init__(self, posed: PosedBody, sensor: Sensor) -> None:
         self._posed = posed
@@ -142,13 +137,8 @@ def nearest_joints(
     This is the nearest of the joints seen on the point's segment: its two ends or, on
     the trunk, all joints of the trunk. The middle of a limb's segment belongs to none,
     as a joint's skin extends equally far in both directions, whatever the lengths of
-    the two segments.
-
-    Args:
-        points: Points on the skin [m], in any frame, (N, 3).
-        segments: Index of each point's segment, (N,).
-        positions: Joint positions [m], in the same frame, (J, 3).
-        body: The body they belong to.
+    the two segments. Points on the skin (N, 3) and joint positions (J, 3) are in the
+    same frame [m]; ``segments`` (N,) are the points' segments.
     """
     own = own_parts(body.skeleton)
     distance = np.linalg.norm(points[:, None] - positions, axis=-1)

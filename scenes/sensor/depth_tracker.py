@@ -142,13 +142,8 @@ def hold_inferred(
 
     A joint too far from its parent, compared with the segment's usual length in the
     take, is taken for another joint and becomes inferred. Joints out of view become
-    not tracked, and NaN.
-
-    Args:
-        positions: Joint positions [m], in the sensor frame, (T, J, 3).
-        state: Tracking states, changed in place, (T, J).
-        skeleton: The skeleton.
-        sensor: The sensor, for its view and range.
+    not tracked, and NaN. Positions (T, J, 3) are in the sensor frame; the states (T, J)
+    are changed in place.
     """
     held = positions.copy()
     parents = np.maximum(skeleton.parents, 0)
