@@ -33,7 +33,7 @@ from kinefilter.scenes.sensor.depth_image import (
     nearest_joints,
     with_noise,
 )
-from kinefilter.scenes.sensor.depth_tracker import propose, steadied
+from kinefilter.scenes.sensor.depth_tracker import hold_inferred, propose
 from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 Array = NDArray[np.float64]
@@ -252,7 +252,7 @@ def test_a_joint_too_far_from_its_parent_is_taken_for_anothers() -> None:
     state = np.full(places.shape[:2], State.TRACKED, dtype=np.uint8)
     wrist = index("WristLeft")
     places[2, wrist] = places[2, index("AnkleRight")]
-    held = steadied(places, state, KINECT_V1, EXACT)
+    held = hold_inferred(places, state, KINECT_V1, EXACT)
     assert state[2, wrist] == State.INFERRED
     assert (state == State.INFERRED).sum() == 1
     np.testing.assert_allclose(held[2], held[1], atol=1e-9)
@@ -263,7 +263,7 @@ def test_what_goes_out_of_view_is_lost() -> None:
     places = in_sensor_frame(posed(3).positions, EXACT)
     places[2] += [0.0, 0.0, 3.0]
     state = np.full(places.shape[:2], State.TRACKED, dtype=np.uint8)
-    held = steadied(places, state, KINECT_V1, EXACT)
+    held = hold_inferred(places, state, KINECT_V1, EXACT)
     assert (state[:2] == State.TRACKED).all()
     assert (state[2] == State.NOT_TRACKED).all()
     assert np.isnan(held[2]).all()

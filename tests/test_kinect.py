@@ -23,7 +23,11 @@ from kinefilter.scenes.sensor import (
     observe,
     sample_take,
 )
-from kinefilter.scenes.sensor.tracker_errors import kinship, misplacements, unsteadiness
+from kinefilter.scenes.sensor.tracker_errors import (
+    error_mixing,
+    error_scales,
+    joint_offsets,
+)
 from kinefilter.scenes.sensor.visibility import look
 
 Array = NDArray[np.float64]
@@ -243,18 +247,18 @@ def test_errors_of_a_posture_come_back_with_the_posture() -> None:
 
 
 @every_skeleton
-def test_misplacements_mirror(skeleton: Skeleton) -> None:
-    offsets = misplacements(skeleton)
+def test_joint_offsets_mirror(skeleton: Skeleton) -> None:
+    offsets = joint_offsets(skeleton)
     mirrored = offsets[:, skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
     np.testing.assert_allclose(mirrored, offsets, atol=1e-12)
     np.testing.assert_array_equal(
-        unsteadiness(skeleton), unsteadiness(skeleton)[skeleton.mirror]
+        error_scales(skeleton), error_scales(skeleton)[skeleton.mirror]
     )
 
 
 @every_skeleton
-def test_kinship_keeps_the_variance_of_every_joint(skeleton: Skeleton) -> None:
-    mix = kinship(skeleton)
+def test_error_mixing_keeps_the_variance_of_every_joint(skeleton: Skeleton) -> None:
+    mix = error_mixing(skeleton)
     np.testing.assert_allclose(np.sum(mix**2, axis=1), 1.0)
     shared = mix @ mix.T
     foot, ankle = skeleton.index("FootLeft"), skeleton.index("AnkleLeft")

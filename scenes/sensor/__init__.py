@@ -1,4 +1,4 @@
-"""The virtual Kinect: what a sensor would have recorded of a motion."""
+"""The virtual Kinect: simulated takes of a motion."""
 
 from .geometry import SENSORS, Sensor, in_sensor_frame, in_world_frame
 from .kinect import Tracker, observe, sample_take

@@ -1,12 +1,12 @@
-"""A tracker that finds joints in depth images, and whose errors nobody wrote.
+"""A tracker that finds joints in depth images, so that its errors are not modeled.
 
 Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
-CVPR: a forest tells body parts by pixel (``body_part_forest``), mean shift finds where
-most of a part's skin is, and each joint lies a learned distance behind it. How much
-skin was found around a joint decides its state; a joint that is not found stays where
-it was, seen from its parent. Two rules keep left and right apart, the rest is what the
-images show: of several places the one near to the last image's is preferred, and
-segments do not stretch. They were chosen on s02, s03 and s04 of UI-PRMD.
+CVPR: a forest classifies pixels by body part (``body_part_forest``), mean shift finds
+where a part's skin is densest, and the joint lies a learned distance behind it. The
+area of skin found around a joint decides its state; a joint that is not found keeps its
+position relative to its parent. Two rules, chosen on s02, s03 and s04 of UI-PRMD, keep
+left and right apart: of several candidates, one near the joint's place in the previous
+image is preferred, and segments do not stretch.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.random import Generator
 
 from kinefilter.characters import SKELETONS, Motion, Skeleton, State
 from kinefilter.characters.arrays import Array, Codes
@@ -25,22 +26,22 @@ from .depth_image import DepthCamera, DepthImage, with_noise
 from .geometry import Sensor
 from .ray_casting import PosedBody, check_prop_poses
 
-_DRAWN = 64  # points of skin that stand for a body part
+_SAMPLES = 64  # points of skin that represent a body part
 _STARTS = 8  # of them from which mean shift starts
-_STEPS = 10
-_WIDTH = 0.06  # m: standard deviation of its kernel, about a hand's
-_STEP, _LEAPS = 0.15, 0.1  # m: what a joint moves from image to image; share of leaps
+_ITERATIONS = 10
+_WIDTH = 0.06  # m: standard deviation of the kernel, about that of a hand
+_STEP, _LEAPS = 0.15, 0.1  # m between images that a joint moves; share of larger moves
 _STRETCH = 1.4  # times its usual length that a segment may measure
-_LEAST_PIXELS = 50  # that show somebody: less is nobody, a guess
+_LEAST_PIXELS = 50  # that show a person; fewer are no person, a guess
 
 
 class Proposals(NamedTuple):
-    """Where joints are in one image, in the sensor's frame."""
+    """Skin around each joint in one image, in the sensor frame."""
 
     skin: Array
-    """Where most of the skin around each joint is [m], NaN without any, (J, 3)."""
+    """Where the skin is densest [m], NaN without any, (J, 3)."""
     area: Array
-    """How much of it is there, by its probability [m^2], (J,)."""
+    """Area of skin there, weighted by probability [m^2], (J,)."""
 
 
 def propose(
@@ -49,129 +50,108 @@ def propose(
     skeleton: Skeleton,
     before: Array | None = None,
 ) -> Proposals:
-    """Return where the skin around each joint is, by mean shift (Shotton, eq. 7).
+    """Locate the skin around each joint by mean shift (Shotton et al., eq. 7).
 
-    Pixels count by their probability and by the area of skin that they show. Every
-    second one is looked at. For each joint, points that are drawn by that weight stand
-    for all. Of several places, the one with the most skin is taken, or with less if it
-    is near to where the skin was in the image before [m], (J, 3).
+    Every second pixel counts, weighted by its probability and by the area of skin that
+    it shows. Each joint's pixels are represented by a sample of points drawn with that
+    weight. Of several modes, the one with the most skin wins; those near ``before``,
+    the skin in the previous image [m], (J, 3), may have less.
     """
     rows, columns = np.nonzero(image.segments >= 0)
     kept = (rows + columns) % 2 == 0
     rows, columns = rows[kept], columns[kept]
     if len(rows) < _LEAST_PIXELS:
-        nowhere = np.full((len(skeleton), 3), np.nan)
-        return Proposals(nowhere, np.zeros(len(skeleton)))
+        return Proposals(np.full((len(skeleton), 3), np.nan), np.zeros(len(skeleton)))
     points = image.points(rows, columns)
     shares = forest.shares(image, rows, columns) @ parts_of_joints(skeleton)
     weights = 2.0 * shares * (points[:, 2] / image.focal)[:, None] ** 2
     whole = weights.sum(axis=0)
-    # As many points of the same weight, at even steps of the sum of weights.
+    # Points of equal weight, at even steps of the cumulative weight.
     ends = np.cumsum(weights, axis=0) / np.maximum(whole, 1e-12)
-    steps = (np.arange(_DRAWN) + 0.5) / _DRAWN
-    drawn = np.array([np.searchsorted(end, steps) for end in ends.T])
-    cloud = points[np.minimum(drawn, len(points) - 1)]  # (J, drawn, 3)
-    modes = cloud[:, :: _DRAWN // _STARTS]
-    for _ in range(_STEPS):
+    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    sampled = np.array([np.searchsorted(end, steps) for end in ends.T])
+    cloud = points[np.minimum(sampled, len(points) - 1)]  # (J, samples, 3)
+    modes = cloud[:, :: _SAMPLES // _STARTS]
+    for _ in range(_ITERATIONS):
         near = _kernel(modes, cloud)
         modes = near @ cloud / near.sum(axis=-1, keepdims=True)
-    density = _kernel(modes, cloud).mean(axis=-1)
-    likely = density
+    density = likely = _kernel(modes, cloud).mean(axis=-1)
     if before is not None:
         away = np.linalg.norm(modes - before[:, None], axis=-1)
         stayed = np.exp(-0.5 * np.square(np.nan_to_num(away, nan=np.inf) / _STEP))
         likely = density * (_LEAPS + stayed)
-    best = np.argmax(likely, axis=1)
-    row = np.arange(len(skeleton))
-    found = np.where(whole[:, None] > 0.0, modes[row, best], np.nan)
-    return Proposals(found, whole * density[row, best])
+    best = np.arange(len(skeleton)), np.argmax(likely, axis=1)
+    skin = np.where(whole[:, None] > 0.0, modes[best], np.nan)
+    return Proposals(skin, whole * density[best])
 
 
 def _kernel(modes: Array, cloud: Array) -> Array:
-    """Return how near points (J, N, 3) are to modes (J, M, 3), (J, M, N)."""
+    """Return the Gaussian kernel of modes (J, M, 3) and points (J, N, 3), (J, M, N)."""
     away = np.square(modes).sum(-1)[..., None] + np.square(cloud).sum(-1)[:, None]
     away -= 2.0 * modes @ cloud.swapaxes(1, 2)
     return np.asarray(np.exp(-0.5 * np.maximum(away, 0.0) / _WIDTH**2))
 
 
-def found_in_depth(
+def track_in_depth(
     motion: Motion,
     sensor: Sensor,
-    rng: np.random.Generator,
-    *,
-    scene: mujoco.MjSpec | None = None,
-    prop_poses: Mapping[str, Array] | None = None,
-    forest: BodyPartForest | None = None,
+    rng: Generator,
+    scene: mujoco.MjSpec | None,
+    prop_poses: Mapping[str, Array] | None,
 ) -> tuple[Array, Codes]:
-    """Return where joints are found [m], in the sensor's frame, and their states.
+    """Find joints in depth images of a motion.
 
-    Args:
-        motion: What happens in front of the sensor.
-        sensor: Where it stands, and what its lens and range allow.
-        rng: Draws the noise of the images.
-        scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
-        prop_poses: For bodies of the scene that move: position [m] and orientation
-            wxyz in every frame, MuJoCo's world, shape (T, 7).
-        forest: What tells the body parts; by default the one that ships.
-
-    Raises:
-        InputError: A moving prop is no body of the scene, not a child of its world,
-            or its poses do not fit the motion.
+    Returns their positions (T, J, 3) [m] in the sensor frame, NaN if not tracked, and
+    their states (T, J). ``rng`` draws the noise of the images; ``scene`` and
+    ``prop_poses`` are as in ``observe`` and raise the same errors.
     """
-    forest, skeleton = forest or shipped_forest(), motion.skeleton
+    forest, skeleton = shipped_forest(), motion.skeleton
     prop_poses = prop_poses or {}
     check_prop_poses(motion, prop_poses)
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = constants_of(forest, skeleton)
     positions = np.full(motion.positions.shape, np.nan)
     state = np.full(positions.shape[:2], State.NOT_TRACKED, dtype=np.uint8)
-    before = None
+    skin = None
     for t, joints in enumerate(motion.positions):
         props = [np.asarray(poses[t], float) for poses in prop_poses.values()]
         image = with_noise(camera.take(joints, motion.rotations[t], props), sensor, rng)
-        skin, area = propose(image, forest, skeleton, before)
-        before = skin
-        if not area.any():
-            continue
-        positions[t] = behind(skin, push)
-        state[t] = np.where(area >= least, State.TRACKED, State.INFERRED)
-    return steadied(positions, state, skeleton, sensor), state
+        skin, area = propose(image, forest, skeleton, skin)
+        if area.any():
+            positions[t] = behind(skin, push)
+            state[t] = np.where(area >= least, State.TRACKED, State.INFERRED)
+    return hold_inferred(positions, state, skeleton, sensor), state
 
 
 def constants_of(forest: BodyPartForest, skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return how far joints lie behind the skin [m], and the least area [m^2], (J,)."""
+    """Return each joint's depth behind the skin [m] and least area [m^2], (J,) each."""
     row = list(SKELETONS).index(skeleton.name)
     of_joint = np.argmax(parts_of_joints(skeleton), axis=0)
     return forest.push[row, of_joint], forest.least[row, of_joint]
 
 
 def behind(skin: Array, push: Array) -> Array:
-    """Return points [m] that lie some way [m] behind others, seen from the origin."""
+    """Return points [m] moved a distance [m] away from the origin."""
     return np.asarray(skin * (1.0 + push / np.linalg.norm(skin, axis=-1))[..., None])
 
 
-def steadied(
+def hold_inferred(
     positions: Array, state: Codes, skeleton: Skeleton, sensor: Sensor
 ) -> Array:
-    """Return joints as they are told: inferred ones stay where they were.
+    """Return joint positions [m] in which inferred joints stay with their parents.
 
-    That is, seen from their parent. A joint too far from its parent, for what the
-    segment measures in the take, is taken for another's and becomes inferred; what is
-    out of view becomes not tracked, and is NaN.
-
-    Args:
-        positions: Where joints were found [m], in the sensor's frame, (T, J, 3).
-        state: Their states, which change, (T, J).
-        skeleton: The joints.
-        sensor: What its lens and range allow.
+    A joint too far from its parent, compared with the segment's usual length in the
+    take, is taken for another joint and becomes inferred. Joints out of view become
+    not tracked, and NaN. Positions (T, J, 3) are in the sensor frame; the states (T, J)
+    are changed in place.
     """
     held = positions.copy()
     parents = np.maximum(skeleton.parents, 0)
     bones = np.linalg.norm(positions - positions[:, parents], axis=-1)
-    seen = (state == State.TRACKED) & (state[:, parents] == State.TRACKED)
+    tracked = (state == State.TRACKED) & (state[:, parents] == State.TRACKED)
     usual = [
-        float(np.median(bones[some, j])) if some.any() else np.inf
-        for j, some in enumerate(seen.T)
+        float(np.median(bones[frames, j])) if frames.any() else np.inf
+        for j, frames in enumerate(tracked.T)
     ]
     for t in range(1, len(held)):
         for j in skeleton.order:

@@ -1,7 +1,7 @@
-"""The virtual Kinect as a camera: where it stands and what its lens and clock allow.
+"""Placement, optics and clock of the virtual Kinect.
 
-Sensor frame: origin at the sensor, y up, z from the sensor towards the person, x to
-the sensor's left; a person who faces the sensor faces -z.
+Sensor frame: origin at the sensor, y up, z from the sensor toward the person, x to the
+sensor's left. A person facing the sensor faces -z.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kinefilter.characters.rotations import about_x, about_y, inverse, multiply,
 
 
 class DepthNoise(NamedTuple):
-    """Standard deviation of one pixel's depth at z meters: a + b z + c z^2 [m]."""
+    """Standard deviation [m] of a depth z: constant + linear z + quadratic z^2."""
 
     constant: float
     linear: float
@@ -24,9 +24,8 @@ class DepthNoise(NamedTuple):
 
     def at(self, depth: Array) -> Array:
         """Return the standard deviation [m] at depths [m]."""
-        return np.asarray(
-            self.constant + self.linear * depth + self.quadratic * depth**2
-        )
+        constant, linear, quadratic = self
+        return np.asarray(constant + linear * depth + quadratic * depth**2)
 
 
 _V2_NOISE = DepthNoise(0.0015, -0.0005, 0.0003)
@@ -34,43 +33,42 @@ _V2_NOISE = DepthNoise(0.0015, -0.0005, 0.0003)
 
 @dataclass(frozen=True)
 class Sensor:
-    """One Kinect: its place, its lens and its clock. The defaults are a Kinect v2."""
+    """Placement, optics and clock of one Kinect. The defaults describe a Kinect v2."""
 
     height: float = 1.0
     """Height of the sensor above the floor [m]."""
     distance: float = 2.7
     """Horizontal distance from the sensor to the origin of the motion's world [m]."""
     azimuth: float = 0.0
-    """Angle by which the performer is turned to its left from facing the sensor
-    [rad]."""
+    """Angle [rad] by which the performer is turned left from facing the sensor."""
     tilt: float = 0.0
-    """Angle by which the sensor looks up, negative: down [rad]."""
+    """Pitch of the sensor, positive upward [rad]."""
     field_of_view: tuple[float, float] = (np.radians(70.6), np.radians(60.0))
     """Horizontal and vertical angle of view [rad]."""
     resolution: tuple[int, int] = (512, 424)
-    """Columns and rows of the depth image."""
+    """Number of columns and rows of the depth image."""
     depth_range: tuple[float, float] = (0.5, 4.5)
-    """Nearest and farthest depth that is measured [m]."""
+    """Smallest and largest measurable depth [m]."""
     depth_noise: DepthNoise = _V2_NOISE
-    """Noise of one pixel's depth (Fankhauser et al. 2015, Kinect v2 for mobile robot
-    navigation, at normal incidence)."""
+    """Noise of a pixel's depth, by default at normal incidence (Fankhauser et al. 2015,
+    Kinect v2 for mobile robot navigation)."""
     structured_light: bool = False
-    """Whether it measures disparity, in eighths of a pixel; else times of flight, in
-    millimeters."""
+    """True if depth comes from disparity in steps of 1/8 pixel, False if it comes from
+    the time of flight in steps of 1 mm."""
     dropped_share: float = 0.014
-    """Share of frames that never arrive, in [0, 1]; labanotation takes: 0.5 to 2.9 %
+    """Share of frames that never arrive, in [0, 1]. In labanotation takes, 0.5 to 2.9 %
     of steps are two frames long (tests/calibrate_kinect.py)."""
     stamp_jitter: float = 0.0003
-    """Standard deviation of the time stamps [s]; labanotation takes."""
+    """Standard deviation of the time stamps [s], from labanotation takes."""
 
     def pixels(self, depth: Array) -> Array:
-        """Return how many pixels see one square metre across the view [1/m^2]."""
+        """Return the pixel density [1/m^2] on a plane across the view at depths [m]."""
         columns, rows = self.resolution
         wide, high = (2.0 * np.tan(angle / 2.0) for angle in self.field_of_view)
         return np.asarray(columns * rows / (wide * high * depth**2))
 
     def in_view(self, positions: Array) -> Flags:
-        """Return whether points (..., 3) of the sensor frame lie in view and range."""
+        """Return True for points (..., 3) [m], sensor frame, in view and in range."""
         x, y, z = np.moveaxis(positions, -1, 0)
         near, far = self.depth_range
         wide, high = (np.tan(angle / 2.0) for angle in self.field_of_view)
@@ -94,34 +92,34 @@ SENSORS = {
         depth_noise=DepthNoise(0.0006, 0.0, 0.0001),
     ),
 }
-"""Geometry of the Kinects, from their data sheets.
+"""Kinect models, with geometry from their data sheets.
 
-Depth noise of v1: triangulation's, 1.43 mm times the squared depth in meters
-(Khoshelham & Elberink 2012, Sensors 12(2)). Of azure (narrow view): a
-guess of 1 to 2 mm within its range.
-The skeleton is that of the motion, whichever sensor looks at it.
+The depth noise of v1 is that of triangulation, 1.43 mm times the squared depth in
+meters (Khoshelham & Elberink 2012, Sensors 12(2)). That of azure (narrow field of
+view) is a guess, 1 to 2 mm within its range. The sensor does not determine the
+skeleton of a take: that is the motion's.
 """
 
 
 def _view(sensor: Sensor) -> tuple[Array, Array, Array]:
-    """Return turn about the vertical, place [m] and tilt that lead to the frame."""
-    place = np.array([0.0, -sensor.height, sensor.distance])
-    return about_y(np.pi + sensor.azimuth), place, about_x(sensor.tilt)
+    """Return the yaw, offset [m] and tilt from the world to the sensor frame."""
+    offset = np.array([0.0, -sensor.height, sensor.distance])
+    return about_y(np.pi + sensor.azimuth), offset, about_x(sensor.tilt)
 
 
 def in_sensor_frame(positions: Array, sensor: Sensor) -> Array:
-    """Turn positions [m] of a motion, world, (..., 3), into the sensor's frame."""
-    turn, place, tilt = _view(sensor)
-    return rotate(tilt, rotate(turn, positions) + place)
+    """Transform positions (..., 3) [m] from the motion's world to the sensor frame."""
+    yaw, offset, tilt = _view(sensor)
+    return rotate(tilt, rotate(yaw, positions) + offset)
 
 
 def in_world_frame(positions: Array, sensor: Sensor) -> Array:
-    """Turn positions [m] of a take, (..., 3), into the world of the motion."""
-    turn, place, tilt = _view(sensor)
-    return rotate(inverse(turn), rotate(inverse(tilt), positions) - place)
+    """Transform positions (..., 3) [m] from the sensor frame to the motion's world."""
+    yaw, offset, tilt = _view(sensor)
+    return rotate(inverse(yaw), rotate(inverse(tilt), positions) - offset)
 
 
 def sensor_axes(sensor: Sensor) -> Array:
-    """Return the sensor's x, y and z axis in the motion's world, (3, 3) rows."""
-    turn, _, tilt = _view(sensor)
-    return rotate(inverse(multiply(tilt, turn)), np.eye(3))
+    """Return the sensor's x, y and z axes in the motion's world, as rows (3, 3)."""
+    yaw, _, tilt = _view(sensor)
+    return rotate(inverse(multiply(tilt, yaw)), np.eye(3))

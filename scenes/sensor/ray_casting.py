@@ -1,12 +1,12 @@
-"""A body in a scene, posed frame by frame, and rays that go from a sensor into it.
+"""A body in a scene, posed frame by frame, and rays cast into it from a sensor.
 
-Every segment is a MuJoCo body with the capsules it has, put where the motion says. The
-rays are MuJoCo's.
+Each segment is a MuJoCo mocap body with the segment's capsules, placed where the motion
+has it. MuJoCo casts the rays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -18,44 +18,37 @@ from kinefilter.characters.humanoid import to_mujoco
 
 _CHEST_BREADTH = 0.174  # of stature (Drillis & Contini 1966 in Winter 2009, fig. 4.1)
 _HIP_BREADTH = 0.191
-TRUNK = (
-    *("HipCenter", "Spine", "ShoulderCenter"),
-    *("SpineBase", "SpineMid", "SpineShoulder"),
-)
-"""Joints whose segments are the trunk."""
+_TRUNK = ("Spine", "HipCenter", "ShoulderCenter")  # starts of the trunk's joints
 _FAR = 20.0  # m: beyond any Kinect's range
-_PREFIX = "seen:"  # keeps the names of the body apart from those of the scene
+_PREFIX = "seen:"  # keeps the names of segments apart from those of the scene
 
 
 def check_prop_poses(motion: Motion, prop_poses: Mapping[str, Array]) -> None:
-    """Raise an InputError for poses of props that do not fit the motion."""
+    """Raise an InputError if poses of props do not fit the motion."""
     for name, poses in prop_poses.items():
         if np.shape(poses) != (len(motion), 7):
             raise InputError(
                 f"poses of prop {name!r} have shape {np.shape(poses)}, expected "
-                f"{(len(motion), 7)}: position and quaternion in every frame"
+                f"{(len(motion), 7)}: position and quaternion (wxyz) in every frame"
             )
 
 
 class PosedBody:
-    """A body in a scene, and what rays meet there.
+    """A body in a scene, which rays can be cast into.
 
     Args:
-        body: Whose segments are put where a motion has them.
-        scene: The room and its props, z up as MuJoCo has it; by default a bare floor.
+        body: The body whose segments are placed.
+        scene: The room and its props, z up as in MuJoCo; by default a bare floor.
         moving: Names of the props that move.
 
     Raises:
-        InputError: A moving prop is no body of the scene, not a child of its world.
+        InputError: A moving prop is not a direct child of the scene's worldbody.
     """
 
     def __init__(
-        self,
-        body: Body,
-        scene: mujoco.MjSpec | None = None,
-        moving: tuple[str, ...] = (),
+        self, body: Body, scene: mujoco.MjSpec | None = None, moving: Sequence[str] = ()
     ) -> None:
-        self.skeleton = body.skeleton
+        self.body = body
         self.model = _with_body(scene, body, moving).compile()
         self.data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
@@ -63,10 +56,10 @@ class PosedBody:
         ids = [self.model.body(name).id for name in names]
         self._slots = self.model.body_mocapid[ids]
         owner = {i: j for j, i in enumerate(ids[: len(body.skeleton)])}
-        self.segment = np.array(
-            [owner.get(b, -1) for b in self.model.geom_bodyid] + [-1]
-        )
-        """Index of the segment that each geom is of, -1: of the scene; last: none."""
+        owners = [owner.get(b, -1) for b in self.model.geom_bodyid]
+        self.segment_of_geom = np.array([*owners, -1])
+        """Segment of each geom, -1 for geoms of the scene; the last entry, which geom
+        -1 refers to, is also -1."""
 
     def cast(
         self,
@@ -76,53 +69,43 @@ class PosedBody:
         eye: Array,
         rays: Array,
     ) -> tuple[Array, NDArray[np.int32]]:
-        """Return how far each ray goes [m] and the geom it meets, -1: none.
+        """Return each ray's length [m] and the geom it hits, -1 for none, (T, N).
 
         Args:
-            positions: Of the joints [m], world of the motion, (T, J, 3).
-            rotations: Of the segments, likewise, (T, J, 4).
-            props: Poses of the moving props, MuJoCo's world, each (T, 7).
-            eye: Where the rays begin [m], world of the motion, (3,).
+            positions: Joint positions [m], in the motion's world, (T, J, 3).
+            rotations: Segment rotations, likewise, (T, J, 4).
+            props: Poses of the moving props, in MuJoCo's world, each (T, 7).
+            eye: Origin of the rays [m], in the motion's world, (3,).
             rays: Unit vectors, likewise, (T, N, 3).
         """
         frames, count = rays.shape[:2]
-        starts = positions[:, np.maximum(self.skeleton.parents, 0)].copy()
-        starts[:, self.skeleton.root] = positions[:, self.skeleton.root]
-        place = np.concatenate(
-            [to_mujoco(starts), *(p[:, None, :3] for p in props)], axis=1
-        )
-        turn = np.concatenate(
-            [to_mujoco(rotations), *(p[:, None, 3:] for p in props)], axis=1
-        )
-        point = to_mujoco(eye)
+        skeleton = self.body.skeleton
+        starts = positions[:, np.maximum(skeleton.parents, 0)].copy()
+        starts[:, skeleton.root] = positions[:, skeleton.root]
+        places = [to_mujoco(starts), *(p[:, None, :3] for p in props)]
+        turns = [to_mujoco(rotations), *(p[:, None, 3:] for p in props)]
+        place, turn = np.concatenate(places, axis=1), np.concatenate(turns, axis=1)
+        eye = to_mujoco(eye)
         beams = np.ascontiguousarray(to_mujoco(rays).reshape(frames, -1))
         reach = np.empty((frames, count))
         geoms = np.empty((frames, count), dtype=np.int32)
         model, data = self.model, self.data
+        every_geom = (None, True, -1)  # of all groups, static ones too, of all bodies
         for t in range(frames):
             data.mocap_pos[self._slots] = place[t]
             data.mocap_quat[self._slots] = turn[t]
             mujoco.mj_kinematics(model, data)
+            hits = (geoms[t], reach[t], None)  # without normals
             mujoco.mj_multiRay(
-                model,
-                data,
-                point,
-                beams[t],
-                None,
-                True,
-                -1,
-                geoms[t],
-                reach[t],
-                None,
-                count,
-                _FAR,
+                model, data, eye, beams[t], *every_geom, *hits, count, _FAR
             )
         return reach, geoms
 
 
 def _with_body(
-    scene: mujoco.MjSpec | None, body: Body, moving: tuple[str, ...]
+    scene: mujoco.MjSpec | None, body: Body, moving: Sequence[str]
 ) -> mujoco.MjSpec:
+    """Return the scene with moving props and segments as mocap bodies."""
     if scene is None:
         spec = mujoco.MjSpec()
         floor = mujoco.mjtGeom.mjGEOM_PLANE
@@ -133,36 +116,26 @@ def _with_body(
         prop = spec.body(name)
         if prop is None or prop.parent != spec.worldbody:
             raise InputError(
-                f"the scene has no prop {name!r} among the children of its world; "
+                f"the scene has no prop {name!r} directly under its worldbody; "
                 "it has " + ", ".join(b.name for b in spec.worldbody.bodies)
             )
         for joint in list(prop.joints):
             spec.delete(joint)
         prop.mocap = True
-    _add_parts(spec, body)
+    capsule, offsets = mujoco.mjtGeom.mjGEOM_CAPSULE, to_mujoco(body.rest_offsets)
+    for j, joint in enumerate(body.skeleton.joints):
+        part = spec.worldbody.add_body(name=_PREFIX + joint, mocap=True)
+        end = offsets[j] + 1e-6 * (j == body.skeleton.root)
+        for side in _capsule_sides(body, j):
+            aside = np.array([0.0, side, 0.0])
+            size = [body.radii[j], 0.0, 0.0]
+            part.add_geom(type=capsule, fromto=[*aside, *(end + aside)], size=size)
     return spec
 
 
-def _add_parts(spec: mujoco.MjSpec, body: Body) -> None:
-    """Add one body a segment that can be put anywhere, with the capsules it has."""
-    offsets = to_mujoco(body.rest_offsets)
-    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-    for j, joint in enumerate(body.skeleton.joints):
-        part = spec.worldbody.add_body(name=_PREFIX + joint, mocap=True)
-        for side in _flanks(body, j):
-            aside = np.array([0.0, side, 0.0])
-            end = offsets[j] + 1e-6 * (j == body.skeleton.root)
-            part.add_geom(
-                type=capsule,
-                fromto=[*aside, *(end + aside)],
-                size=[body.radii[j], 0.0, 0.0],
-            )
-
-
-def _flanks(body: Body, j: int) -> tuple[float, ...]:
-    """Sideways places [m] of a segment's capsules: a trunk is wider than deep."""
-    joint = body.skeleton.joints[j]
-    if joint not in TRUNK:
+def _capsule_sides(body: Body, j: int) -> tuple[float, ...]:
+    """Sideways offsets [m] of a segment's capsules: a trunk is wider than deep."""
+    if not body.skeleton.joints[j].startswith(_TRUNK):
         return (0.0,)
     breadth = _HIP_BREADTH if j == body.skeleton.root else _CHEST_BREADTH
     half = max(0.0, 0.5 * breadth * body.height - float(body.radii[j]))
