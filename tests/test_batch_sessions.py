@@ -296,11 +296,11 @@ def test_a_folder_says_what_its_sessions_are(both: Path, tmp_path: Path) -> None
         ('sessions = "{name}.csv"', "kinefilter.toml: --sessions {name}.csv: expected"),
         ('sessions = "{name}{name}_{sensor}"', "{name} and {sensor} once each"),
         ("sessions = 3", "kinefilter.toml: sessions = 3: expected text"),
-        ('sessions = "{name}-{sensor}.csv"', "no take is called so"),
+        ('sessions = "{name}-{sensor}.csv"', "matches no take"),
         ('sensors = ["A"]', "kinefilter.toml: --sensors A: expected two or more"),
         ('sensors = ["A", "A"]', "each once"),
         ('sensors = "A B"', "kinefilter.toml: sensors = 'A B': expected a list such"),
-        ('sensors = ["A", "B"]', "--sensors A B: are of --sessions; give both"),
+        ('sensors = ["A", "B"]', "--sensors A B: requires --sessions"),
         ('calibration = "gone.json"', "gone.json"),
     ],
 )

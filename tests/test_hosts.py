@@ -109,7 +109,7 @@ def test_one_run_at_a_time_until_it_is_ended_or_killed(folder: Path) -> None:
         batch = [*KINEFILTER, "batch", str(folder / "takes"), "-o", str(out), *QUICK]
         second = bare(*batch)
         assert second.returncode == 2
-        assert "another run writes there" in second.stderr
+        assert "another run is writing there" in second.stderr
         assert rows_of(out) == []
     third = bare(*batch)
     assert third.returncode == 0, third.stderr

@@ -38,8 +38,8 @@ class Pair:
     takes, by aligning the joints; sensor and mocap system must therefore stay in place.
     Frames and joints that cannot be trusted are left out and reported.
 
-    A take whose mocap explains too little of its movement is left out (exit code 1, or
-    2 if no take remains). This detects mocap of a different movement or person, but
+    A take whose mocap explains too little of its movement is left out; the exit code is
+    then 1, or 2 if no take remains. This detects mocap of a different movement or person, but
     only two in three cases of another repetition of the same short movement.
     """
 
@@ -201,9 +201,9 @@ class DatabaseBuild:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Database to write (.npz)."""
     files: Positional[tuple[Path, ...]] = ()
-    """Mocap: BVH, AMC with its ASF, C3D or TRC of joint centers; or pairs files (.npz),
-    whose mocap is used. Folders are searched with their subfolders. The files may be
-    larger than memory."""
+    """Mocap: BVH (.gz too), AMC with its ASF, C3D or TRC of joint centers; or pairs
+    files (.npz), whose mocap is used. Folders are searched with their subfolders. The
+    files may be larger than memory."""
     skeleton: Skeletons = "kinect_v1"
     """Skeleton of the takes that the database is for."""
     count: int = 2574
