@@ -101,7 +101,7 @@ def test_a_take_without_a_partner_is_cleaned_by_itself_and_told(
     words = ["batch", str(both), "-o", str(out), *FLAGS, "--sessions"]
     words.append("{name}_{sensor}.csv")
     assert main(words) == 0
-    assert "1 without a partner, see manifest.csv" in capsys.readouterr().out
+    assert "1 without a partner (see manifest.csv)" in capsys.readouterr().out
     (row,) = (row for row in table_of(out) if row["sensors"])
     assert (row["take"], row["output"]) == ("nod_A.csv", "nod_A.bvh")
     assert "no take of another sensor" in row["notes"]
@@ -135,7 +135,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
         ("same", "same_A.csv and same_B.csv: are the same take"),
         ("short", "short_B.csv"),
         ("empty", "empty_B.csv"),
-        ("twice", "twice_A.csv, twice_A.csv.txt: are not each of another sensor"),
+        ("twice", "twice_A.csv, twice_A.csv.txt: several are by the same sensor"),
     ):
         assert words in errors.pop(take)
     assert not errors
@@ -145,7 +145,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
     ]
     assert made["nod"].status == made["alone.csv"].status == "done"
     note = made["broken"].clips[0].notes[0]  # it claims to be no take
-    assert note == "broken_B.csv is no take: cleaned without it"
+    assert note == "broken_B.csv is not a take; cleaned without it"
 
 
 @pytest.mark.usefixtures("here")

@@ -86,7 +86,7 @@ def test_a_batch_goes_on_after_workers_that_died(folder: Path) -> None:
     }
     done = bare(*KINEFILTER, *batch)
     assert done.returncode == 0, done.stderr
-    assert "1 take cleaned, 0 failed, 2 done before" in done.stdout
+    assert "1 take cleaned, 0 failed, 2 already done" in done.stdout
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.*vh")) == [
         "deadly.bvh",
         "monday/stoß.bvh",
