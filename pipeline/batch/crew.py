@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import logging
 import os
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
@@ -37,13 +37,10 @@ _REPORT_DELAY = 2.0  # s for the row of a hanging take to reach the scheduler; a
 _one_at_a_time = Lock()
 
 
-class Crew(AbstractContextManager["Crew"]):
-    """Workers that do jobs; a context manager that ends them on exit."""
+class Crew(ABC):
+    """Workers that do jobs."""
 
     room: int  # maximum number of jobs at a time
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
 
     def is_idle(self) -> bool:
         """Return True if there are no workers."""
@@ -55,7 +52,7 @@ class Crew(AbstractContextManager["Crew"]):
 
     @abstractmethod
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those that finished, or None if the worker died.
+        """Wait for jobs; return finished ones with their row, or None if a worker died.
 
         May return nothing after a second, so that the caller can check for workers.
         """

@@ -139,7 +139,7 @@ class Manifest:
                 data = data[self._file.write(data) or 0 :]
             os.fsync(self._file.fileno())
         except OSError as error:
-            self._file.truncate(self._length)  # remove a partly written line
+            self._file.truncate(self._length)  # possible even on a full disk
             raise InputError(
                 f"{self._path}: cannot be written ({error.strerror}); free some space, "
                 "and run the same command again to resume"

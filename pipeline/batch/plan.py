@@ -66,9 +66,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
                 label = PurePosixPath(canonical(place)).name
             labels[label] += 1
             prefix = f"{label}-{labels[label]}/" if labels[label] > 1 else f"{label}/"
-        for source in _in_folder(place, out):
-            prefixed = replace(source, take=prefix + source.take)
-            sources.setdefault(source.place, prefixed)
+        for source in _in_folder(place, out, prefix):
+            sources.setdefault(source.place, source)
     if not sources:
         raise InputError(
             f"{', '.join(inputs)}: contains no takes, files ending in "
@@ -81,7 +80,7 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
     ]
 
 
-def _in_folder(place: str, out: str) -> list[Source]:
+def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
     store, root = store_at(place), canonical(place)
     if root == canonical(out):
         raise InputError(
@@ -91,7 +90,7 @@ def _in_folder(place: str, out: str) -> list[Source]:
     # Output inside the searched folder is skipped.
     written = f"{canonical(out)}/".removeprefix(f"{root}/")
     return [
-        Source(file.name, store, f"{root}/{file.name}", file, named=False)
+        Source(prefix + file.name, store, f"{root}/{file.name}", file, named=False)
         for file in store.files()
         if file.name.lower().removesuffix(".gz").endswith(_TAKES)
         and not file.name.startswith(written)
@@ -272,7 +271,7 @@ def plan_jobs(
         )
         for take, session, name in zip(takes, sessions, names, strict=True)
     ]
-    _check_contacts(jobs)
+    _check_one_person_each(jobs)
     places, root = {source.place for source in sources}, canonical(store.root)
     for job in jobs:
         if f"{root}/{job.output}" in places:
@@ -299,14 +298,13 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
         read_calibration(settings.calibration)
 
 
-def _check_contacts(jobs: Iterable[Job]) -> None:
-    """Raise an InputError if contacts or edits would apply to several people."""
+def _check_one_person_each(jobs: Iterable[Job]) -> None:
     takes: dict[tuple[str, Path], str] = {}
     for job in jobs:
         settings, source = job.settings, job.sources[0]
         config = settings.config
-        given = {"--contacts": config.contacts, "--edits": config.edits}
-        files = [(flag, file) for flag, file in given.items() if file is not None]
+        given = ("--contacts", config.contacts), ("--edits", config.edits)
+        files = [(flag, file) for flag, file in given if file is not None]
         if not files:
             continue
         try:
@@ -321,8 +319,8 @@ def _check_contacts(jobs: Iterable[Job]) -> None:
             if (flag, file) in takes:
                 raise InputError(
                     f"{flag} {file}: is for one take, not for both "
-                    f"{takes[flag, file]} and {job.take}; move its take to a folder of "
-                    f"its own, with a kinefilter.toml that sets {flag[2:]}, or use "
-                    "'kinefilter clean'"
+                    f"{takes[flag, file]} and {job.take}; move the take it belongs to "
+                    "into a folder of its own with a kinefilter.toml that names it, or "
+                    "use 'kinefilter clean'"
                 )
             takes[flag, file] = job.take

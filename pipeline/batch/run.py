@@ -78,25 +78,18 @@ def clean_files(
     take once its clip is written; the table ``manifest.csv`` is written at the end.
     After a KeyboardInterrupt, both are up to date.
 
-    Args:
-        inputs: Takes, and folders to search for takes, as paths or URLs.
-        out: Folder for the clips, a path or URL.
-        settings: Settings for all takes; with ``sessions``, takes of several sensors
-            become one clip (see ``find_sessions``).
-        suffix: Extension of the clips.
-        config_file: TOML file that overrides ``settings``. ``kinefilter.toml`` in the
-            takes' folders overrides both.
-        given: Names of settings that no file may override.
-        jobs: Number of processes; default: one per core.
-        scheduler: Address of a Dask scheduler whose workers clean instead.
-        take_timeout: Time [s] after which a take fails; default: one hour plus one
-            minute per megabyte.
-        on_progress: Called at the start, after every take, and while there are no
-            workers.
+    ``inputs`` are takes and folders to search for takes; these and ``out`` may be URLs.
+    ``suffix`` is the extension of the clips. ``config_file`` (TOML) overrides
+    ``settings``, and ``kinefilter.toml`` in the takes' folders overrides both, except
+    for the settings named in ``given``. With ``sessions`` among the settings, takes of
+    several sensors become one clip (see ``find_sessions``). Cleaning runs in ``jobs``
+    processes, by default one per core, or on the workers of a Dask ``scheduler``. A
+    take fails after ``take_timeout`` seconds, by default one hour plus one minute per
+    megabyte. ``on_progress`` is called at the start, after every take, and while there
+    are no workers.
 
-    Raises:
-        InputError: The request is impossible, or the manifest cannot be written. A
-            faulty take raises nothing; its row in the outcome has the error.
+    Raises InputError if the request is impossible or the manifest cannot be written. A
+    faulty take raises nothing; its row in the outcome has the error.
     """
     store = store_at(out)
     files = [] if config_file is None else [read_settings(config_file)]
@@ -110,12 +103,11 @@ def clean_files(
         given=given,
         take_timeout=take_timeout,
     )
-    with (
-        one_thread(),
+    with one_thread(), ExitStack() as cleanup:  # all steps, even if one is interrupted
         # Opened first, so that nothing is written if no scheduler answers.
-        open_crew(scheduler, jobs or cores()) as crew,
-        open_manifest(store) as manifest,
-    ):
+        crew = open_crew(scheduler, jobs or cores())
+        cleanup.callback(crew.end)
+        manifest = cleanup.enter_context(open_manifest(store))
         written = {file.name: file for file in store.files()} if manifest.rows else {}
         outcome, todo = Outcome(), []
         for job in planned:
@@ -130,12 +122,11 @@ def clean_files(
             with suppress(InputError) if error else nullcontext():
                 write_csv(manifest.rows.values(), store)
 
-        with ExitStack() as cleanup:  # runs all steps, even if Ctrl-C interrupts one
-            cleanup.push(write_table)
-            cleanup.callback(remove_unfinished, store)
-            cleanup.callback(crew.end)
-            remove_unfinished(store)
-            _clean(todo, crew, manifest, outcome, on_progress)
+        cleanup.push(write_table)
+        cleanup.callback(remove_unfinished, store)
+        cleanup.callback(crew.end)
+        remove_unfinished(store)
+        _clean(todo, crew, manifest, outcome, on_progress)
     return outcome
 
 
@@ -146,12 +137,10 @@ def _clean(
     outcome: Outcome,
     on_progress: OnProgress,
 ) -> None:
-    """Do the jobs, and keep manifest and outcome up to date."""
     progress = JobProgress(len(jobs), sum(job.size for job in jobs))
     start = perf_counter()
 
     def record(done: Sequence[tuple[Job, Row]]) -> None:
-        """Record finished jobs; may be none while there are no workers."""
         rows = manifest.append([row for _, row in done])
         outcome.rows += rows
         outcome.seconds = perf_counter() - start

@@ -83,8 +83,8 @@ def find_sessions(
     for pattern, place in unmatched.items():
         if pattern and pattern not in used:
             raise InputError(
-                f"--sessions {pattern}: matches no take, such as {place}; use a "
-                "pattern such as {name}_{sensor}.csv* for walk_left.csv, and spell "
+                f"--sessions {pattern}: matches no take (one of them is {place}); use "
+                "a pattern such as {name}_{sensor}.csv* for walk_left.csv, and spell "
                 "--sensors as in the file names"
             )
     for settings in chosen:

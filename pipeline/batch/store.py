@@ -211,7 +211,6 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _as_input_error(url: str) -> Iterator[None]:
-    """Turn every exception of a file system into an InputError."""
     try:
         yield
     except InputError:

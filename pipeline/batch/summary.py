@@ -19,8 +19,9 @@ _MAX_FAILED = 20  # the manifest has all
 def as_tables(outcome: Outcome) -> RenderableType:
     """Return the outcome as tables for the terminal.
 
-    The worst takes are those with the largest external force, since tracker errors are
-    physically impossible; without physics, those that the database covers the least.
+    The worst takes are those with the largest external force, since tracker errors look
+    like motion that no body can perform; without physics, those that the database
+    covers the least.
     """
     rows = [*outcome.kept, *outcome.rows]
     clips = [(row, clip) for row in rows for clip in row.clips]

@@ -94,7 +94,7 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            result, merged = _cleaned(recordings, body, job)
+            result, merged = _clean(recordings, body, job)
             notes = (*take_notes, *(merged.told() if merged else ()), *result.notes)
             result = replace(result, notes=notes)
             paths = part_paths(path, len(result.clips))
@@ -128,10 +128,9 @@ def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     return Cleaner(config)
 
 
-def _cleaned(
+def _clean(
     recordings: Sequence[Recording], body: int, job: Job
 ) -> tuple[CleanResult, Merged | None]:
-    """Clean a person in a take or session; also return the merged take, if any."""
     settings = job.settings
     if len(recordings) == 1:
         cleaner = _cleaner(settings.config, job.fingerprint)
@@ -154,7 +153,6 @@ def _cleaned(
 
 
 def _write(result: CleanResult, clip: Clip, name: str, body: int, job: Job) -> ClipRow:
-    """Write a clip, and return its main figures."""
     with job.store.writing(name) as path:
         write_clip(clip, path, job.settings.export)
         sha256 = hash_of(path)

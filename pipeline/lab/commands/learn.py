@@ -39,8 +39,9 @@ class Pair:
     Frames and joints that cannot be trusted are left out and reported.
 
     A take whose mocap explains too little of its movement is left out; the exit code is
-    then 1, or 2 if no take remains. This detects mocap of a different movement or person, but
-    only two in three cases of another repetition of the same short movement.
+    then 1, or 2 if no take remains. This detects mocap of a different movement or
+    person, but only two in three cases of another repetition of the same short
+    movement.
     """
 
     files: Positional[tuple[Path, ...]]

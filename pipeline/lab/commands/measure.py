@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
+from rich.table import Table
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
@@ -119,14 +120,21 @@ class Evaluate:
 
     def run(self) -> int:
         """Measure and print a table."""
-        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
-
         files = (*self.pairs, *self.views, *self.train, *self.test)
         check_output(self.json, *files, self.sync, self.database)
         if self.views:
-            return self._views()
-        if self.hide:
-            return self._hide()
+            figures, table = self._views()
+        elif self.hide:
+            figures, table = self._hide()
+        else:
+            figures, table = self._methods()
+        write_json(figures, self.json)
+        out.print(table)
+        return 0
+
+    def _methods(self) -> tuple[dict[str, Any], Table]:
+        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
+
         if self.pairs:
             raise InputError("PAIRS are for --hide; add it, or use --train and --test")
         if self.mocap_database and self.database is not None:
@@ -152,12 +160,9 @@ class Evaluate:
                 every=self.every,
                 progress=progress,
             )
-        write_json(figures, self.json)
-        out.print(as_table(figures))
-        return 0
+        return figures, as_table(figures)
 
-    def _hide(self) -> int:
-        """Hide limbs, and print how closely the clips reconstruct them."""
+    def _hide(self) -> tuple[dict[str, Any], Table]:
         from kinefilter.pipeline.lab import hidden_limbs
 
         if not self.pairs:
@@ -183,19 +188,16 @@ class Evaluate:
             by or "all": hidden_limbs.summarize(records, by)
             for by in (None, *get_args(hidden_limbs.By))
         }
-        figures = {**asdict(options), "skipped": skipped, "rows": rows}
-        write_json({**figures, "clips": records}, self.json)
+        figures = asdict(options) | {"skipped": skipped, "rows": rows, "clips": records}
         title = (
             f"hidden for {', '.join(self.gap)}, guess {self.guess}, clips "
             f"{'alone' if self.context == 'alone' else 'among repetitions'}"
             f"{', live' if self.live else ''}; {skipped} too short"
         )
-        table = hidden_limbs.summarize(records, self.by)
-        out.print(hidden_limbs.as_table(table, title, self.by))
-        return 0
+        summary = hidden_limbs.summarize(records, self.by)
+        return figures, hidden_limbs.as_table(summary, title, self.by)
 
-    def _views(self) -> int:
-        """Print how closely the limbs of two sensors agree."""
+    def _views(self) -> tuple[dict[str, Any], Table]:
         from kinefilter.pipeline.lab import two_views
 
         sessions = two_views.find_sessions(self.views, self.sync)
@@ -207,9 +209,7 @@ class Evaluate:
                 physics=self.physics,
                 progress=progress,
             )
-        write_json(figures, self.json)
-        out.print(two_views.as_table(figures))
-        return 0
+        return figures, two_views.as_table(figures)
 
 
 def _listed(names: str) -> list[str]:

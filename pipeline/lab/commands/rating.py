@@ -69,7 +69,7 @@ class Rate:
                     "NAME=PATH"
                 )
             systems[name] = motions
-        reference = self.reference and rating.motions_of(self.reference)
+        reference = rating.motions_of(self.reference) if self.reference else None
         for motions in (*systems.values(), reference or {}):
             for path in motions.values():
                 keep(self.out, path)

@@ -69,46 +69,41 @@ class Simulate:
         check_output(self.truth, suffix=".csv")
         check_output(self.pairs, suffix=".npz")
         motion = self.motion or lab.motion_for(self.scene)
+        paths = [self.out]
         if self.sensors > 1:
-            return self._session(motion)
-        pair = lab.simulate(
-            self.scene,
-            motion,
-            sensor=self.sensor,
-            skeleton=self.skeleton,
-            seed=self.seed,
-            stay_in_view=True,
-            tracker=self.tracker,
-        )
-        write_take_csv(pair.take, self.out)
+            if (self.skeleton, self.pairs, self.tracker) != (None, None, "model"):
+                raise InputError("--skeleton, --pairs and --tracker are for one sensor")
+            paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
+            for path in paths:
+                check_output(path, self.truth)
+            views = lab.simulate_session(
+                self.scene,
+                motion,
+                sensors=[self.sensor] * self.sensors,
+                degrees=self.degrees,
+                seed=self.seed,
+            )
+            pairs = [view.pair for view in views]
+        else:
+            pair = lab.simulate(
+                self.scene,
+                motion,
+                sensor=self.sensor,
+                skeleton=self.skeleton,
+                seed=self.seed,
+                stay_in_view=True,
+                tracker=self.tracker,
+            )
+            pairs = [pair]
+        for path, pair in zip(paths, pairs, strict=True):
+            write_take_csv(pair.take, path)
         if self.truth is not None:
-            write_take_csv(lab.truth_of(pair), self.truth)
+            write_take_csv(lab.truth_of(pairs[0]), self.truth)
         if self.pairs is not None:
-            lab.write_pairs([pair], self.pairs)
-        tracked = (pair.take.state == State.TRACKED).mean()
-        frames = counted(len(pair.take), "frame")
-        out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
-        return 0
-
-    def _session(self, motion: str) -> int:
-        """Simulate several sensors and write their takes."""
-        from kinefilter.pipeline.lab import simulate as lab
-
-        if (self.skeleton, self.pairs, self.tracker) != (None, None, "model"):
-            raise InputError("--skeleton, --pairs and --tracker are for one sensor")
-        paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
-        for path in paths:
-            check_output(path, self.truth)
-        views = lab.simulate_session(
-            self.scene,
-            motion,
-            sensors=[self.sensor] * self.sensors,
-            degrees=self.degrees,
-            seed=self.seed,
-        )
-        for path, view in zip(paths, views, strict=True):
-            write_take_csv(view.pair.take, path)
-        if self.truth is not None:
-            write_take_csv(lab.truth_of(views[0].pair), self.truth)
-        out.print(f"wrote {', '.join(map(str, paths))}")
+            lab.write_pairs(pairs, self.pairs)
+        written = ", ".join(map(str, paths))
+        if len(pairs) == 1:
+            tracked = (pair.take.state == State.TRACKED).mean()
+            written += f": {counted(len(pair.take), 'frame')}, {tracked:.0%} tracked"
+        out.print(f"wrote {written}")
         return 0
