@@ -78,9 +78,9 @@ class Pair:
             )
         if not 0.0 <= self.least <= 1.0:
             raise InputError(f"--least {self.least:g}: must be in [0, 1]")
-        for path, suffix in ((self.out, ".npz"), (self.picture, ".png")):
+        outputs = (self.out, ".npz"), (self.picture, ".png"), (self.json, "")
+        for path, suffix in outputs:
             check_output(path, *self.files, suffix=suffix)
-        check_output(self.json, *self.files)
         if self.picture is not None:
             check_drawing()
         marker_set = None if self.markers is None else read_marker_set(self.markers)

@@ -85,16 +85,17 @@ class Simulate:
             )
             pairs = [view.pair for view in views]
         else:
-            pair = lab.simulate(
-                self.scene,
-                motion,
-                sensor=self.sensor,
-                skeleton=self.skeleton,
-                seed=self.seed,
-                stay_in_view=True,
-                tracker=self.tracker,
-            )
-            pairs = [pair]
+            pairs = [
+                lab.simulate(
+                    self.scene,
+                    motion,
+                    sensor=self.sensor,
+                    skeleton=self.skeleton,
+                    seed=self.seed,
+                    stay_in_view=True,
+                    tracker=self.tracker,
+                )
+            ]
         for path, pair in zip(paths, pairs, strict=True):
             write_take_csv(pair.take, path)
         if self.truth is not None:
@@ -103,7 +104,8 @@ class Simulate:
             lab.write_pairs(pairs, self.pairs)
         written = ", ".join(map(str, paths))
         if len(pairs) == 1:
-            tracked = (pair.take.state == State.TRACKED).mean()
-            written += f": {counted(len(pair.take), 'frame')}, {tracked:.0%} tracked"
+            take = pairs[0].take
+            tracked = (take.state == State.TRACKED).mean()
+            written += f": {counted(len(take), 'frame')}, {tracked:.0%} tracked"
         out.print(f"wrote {written}")
         return 0
