@@ -247,7 +247,7 @@ def test_exit_codes_say_what_became_of_the_batch(
         assert words in printed
     (takes / "[red]broken.skeleton").unlink()
     assert main(command) == 0
-    assert "0 takes cleaned, 0 failed, 3 done before" in capsys.readouterr().out
+    assert "0 takes cleaned, 0 failed, 3 already done" in capsys.readouterr().out
     assert _files(out) == {"a.usdc", "monday/b.usdc", "monday/late/c.usdc"}
 
 

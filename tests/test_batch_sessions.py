@@ -101,7 +101,7 @@ def test_a_take_without_a_partner_is_cleaned_by_itself_and_told(
     words = ["batch", str(both), "-o", str(out), *FLAGS, "--sessions"]
     words.append("{name}_{sensor}.csv")
     assert main(words) == 0
-    assert "1 without a partner, see manifest.csv" in capsys.readouterr().out
+    assert "1 without a partner (see manifest.csv)" in capsys.readouterr().out
     (row,) = (row for row in table_of(out) if row["sensors"])
     assert (row["take"], row["output"]) == ("nod_A.csv", "nod_A.bvh")
     assert "no take of another sensor" in row["notes"]
@@ -135,7 +135,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
         ("same", "same_A.csv and same_B.csv: the takes are identical"),
         ("short", "short_B.csv"),
         ("empty", "empty_B.csv"),
-        ("twice", "twice_A.csv, twice_A.csv.txt: are not each of another sensor"),
+        ("twice", "twice_A.csv, twice_A.csv.txt: several are by the same sensor"),
     ):
         assert words in errors.pop(take)
     assert not errors
@@ -145,7 +145,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
     ]
     assert made["nod"].status == made["alone.csv"].status == "done"
     note = made["broken"].clips[0].notes[0]  # it claims to be no take
-    assert note == "broken_B.csv is no take: cleaned without it"
+    assert note == "broken_B.csv is not a take; cleaned without it"
 
 
 @pytest.mark.usefixtures("here")
@@ -296,11 +296,11 @@ def test_a_folder_says_what_its_sessions_are(both: Path, tmp_path: Path) -> None
         ('sessions = "{name}.csv"', "kinefilter.toml: --sessions {name}.csv: expected"),
         ('sessions = "{name}{name}_{sensor}"', "{name} and {sensor} once each"),
         ("sessions = 3", "kinefilter.toml: sessions = 3: expected text"),
-        ('sessions = "{name}-{sensor}.csv"', "no take is called so"),
+        ('sessions = "{name}-{sensor}.csv"', "matches no take"),
         ('sensors = ["A"]', "kinefilter.toml: --sensors A: expected two or more"),
         ('sensors = ["A", "A"]', "each once"),
         ('sensors = "A B"', "kinefilter.toml: sensors = 'A B': expected a list such"),
-        ('sensors = ["A", "B"]', "--sensors A B: are of --sessions; give both"),
+        ('sensors = ["A", "B"]', "--sensors A B: requires --sessions"),
         ('calibration = "gone.json"', "gone.json"),
     ],
 )

@@ -86,7 +86,7 @@ def test_a_batch_goes_on_after_workers_that_died(folder: Path) -> None:
     }
     done = bare(*KINEFILTER, *batch)
     assert done.returncode == 0, done.stderr
-    assert "1 take cleaned, 0 failed, 2 done before" in done.stdout
+    assert "1 take cleaned, 0 failed, 2 already done" in done.stdout
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.*vh")) == [
         "deadly.bvh",
         "monday/stoß.bvh",
@@ -109,7 +109,7 @@ def test_one_run_at_a_time_until_it_is_ended_or_killed(folder: Path) -> None:
         batch = [*KINEFILTER, "batch", str(folder / "takes"), "-o", str(out), *QUICK]
         second = bare(*batch)
         assert second.returncode == 2
-        assert "another run writes there" in second.stderr
+        assert "another run is writing there" in second.stderr
         assert rows_of(out) == []
     third = bare(*batch)
     assert third.returncode == 0, third.stderr

@@ -200,7 +200,7 @@ def test_furnished_rooms_need_simulated_people(
 ) -> None:
     model = tmp_path / "model.npz"
     assert main(["train", "pairs.npz", "--furnished", "-o", str(model)]) == 2
-    assert "--furnished needs --simulated" in capsys.readouterr().err
+    assert "--furnished requires --simulated" in capsys.readouterr().err
     assert not model.exists()
 
 

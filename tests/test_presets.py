@@ -271,7 +271,7 @@ def test_presets_train_clean_and_are_evaluated(
     assert main([*teach, "-o", str(model)]) == 0
     use = ["clean", str(take), "--preset", "liu-2016", "--model", str(model)]
     assert main([*use, "-o", str(tmp_path / "clip.npz")]) == 0
-    assert "liu-2016, local-gp, learned from" in capsys.readouterr().out
+    assert "liu-2016, local-gp, trained on" in capsys.readouterr().out
     asked = ["--presets", "liu-2016,liu-2016:temporal=0", "--set", "clusters=4"]
     given = ["--train", str(few), "--test", str(few)]
     assert main(["evaluate", *given, *asked, "--every", "2"]) == 0

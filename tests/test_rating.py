@@ -150,7 +150,7 @@ def test_motions_that_some_system_lacks_are_left_out_and_told(
     (folders / "rawtakes" / "squatting.csv").unlink()
     assert _rate(folders) == 0
     told = capsys.readouterr().out
-    assert "oldway: left out 1 that others lack" in told
+    assert "oldway: left out 1 motion that other systems lack" in told
     assert "1 motion, 5 trials" in told
 
 
@@ -195,7 +195,7 @@ def _twice(folder: Path) -> None:
         (None, "--seed -1", "--seed -1"),
         (None, "--repeats -1", "--repeats -1"),
         (None, "-o page.txt", r"\.html"),
-        (None, "newway=rawtakes", "a second system called .newway"),
+        (None, "newway=rawtakes", "another system is also called .newway"),
         (None, "name=", "NAME=PATH"),
         (None, "absent", "absent"),
         (None, "empty", "no .* file in this folder"),

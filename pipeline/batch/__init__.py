@@ -1,11 +1,11 @@
-"""Folders of takes into folders of clips, on all cores or on a cluster.
+"""Cleaning folders of takes into folders of clips, on all cores or on a cluster.
 
-A million takes of 300 frames cost 0.7 s of a core each: 195 core hours, or 3 hours on
-64 cores. A take has 0.23 MB and its clip in USD 0.8 MB, so that 64 cores read 21 and
-write 72 MB a second, 0.23 and 0.8 TB in all. Memory is 0.3 to 0.4 GB a worker, whatever
-the number of takes. ``tests/batch_figures.py`` measures this;
-``tests/batch_faults.py`` kills runs and workers. What more cores do not make faster is
-the store, and the one process that plans the takes and writes the manifest.
+A take of 300 frames needs 0.7 s of one core, so a million takes need 195 core hours, or
+3 hours on 64 cores. A take has 0.23 MB and its USD clip 0.8 MB; 64 cores read 21 MB/s
+and write 72 MB/s, 0.23 TB and 0.8 TB in all. Each worker needs 0.3 to 0.4 GB of memory,
+whatever the number of takes. The limits to scaling are the store, and the one process
+that plans the jobs and writes the manifest. ``tests/batch_figures.py`` measures this;
+``tests/batch_faults.py`` kills runs and workers.
 """
 
 from .manifest import ClipRow, Row

@@ -1,17 +1,17 @@
-"""Who cleans the takes: processes of this machine, or the workers of a Dask cluster.
+"""Workers that clean takes: local processes, or those of a Dask cluster.
 
-Cluster workers may come and go. Whoever reaches a Dask scheduler can run code on its
-workers: keep it in a network of your own.
+Workers of a cluster may join and leave. Anyone who can reach a Dask scheduler can run
+code on its workers, so keep it on a private network.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
@@ -27,92 +27,87 @@ from .manifest import Row
 from .plan import Job
 from .task import clean_file
 
-_SCHEDULED = 1000  # jobs that the scheduler has at a time, for workers without one
-_CONNECTED_IN = "10s"  # in which the scheduler has to answer
-_CLOSED_IN = "2s"  # in which it is left
-_LOOK = 1.0  # s between looks at whether there are workers, or Ctrl-C came unnoticed
-_LOADED_IN = 600.0  # s until a new process has begun its first take; a guess
-_REPORTED_IN = 2.0  # s until the scheduler has the row of a take that hangs; a guess
+_MAX_SCHEDULED = 1000  # jobs submitted to the scheduler at a time
+_CONNECT_TIMEOUT = "10s"  # for the scheduler to answer
+_CLOSE_TIMEOUT = "2s"  # for closing the connection
+_POLL = 1.0  # s between checks for workers and for a Ctrl-C that did not interrupt
+_START_TIMEOUT = 600.0  # s for a new process to begin its first take; a guess
+_REPORT_DELAY = 2.0  # s for the row of a hanging take to reach the scheduler; a guess
 
 _one_at_a_time = Lock()
 
 
-class Crew(AbstractContextManager["Crew"]):
-    """Who does the jobs; a context that ends them."""
+class Crew(ABC):
+    """Workers that do jobs."""
 
-    room: int  # how many jobs they take at once
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
+    room: int  # maximum number of jobs at a time
 
     def is_idle(self) -> bool:
-        """Tell whether there are no workers."""
+        """Return True if there are no workers."""
         return False
 
     @abstractmethod
     def submit(self, job: Job) -> None:
-        """Give them a job."""
+        """Start a job."""
 
     @abstractmethod
     def finished(self) -> list[tuple[Job, Row | None]]:
-        """Wait for jobs; return those done. None: its process died.
+        """Wait for jobs; return finished ones with their row, or None if a worker died.
 
-        Without workers it does not wait for long.
+        May return nothing after a second, so that the caller can check for workers.
         """
 
     @abstractmethod
     def end(self) -> None:
-        """End them within seconds, whatever they are doing; may be called again."""
+        """End the workers within seconds, even busy ones; may be called repeatedly."""
 
 
 def open_crew(scheduler: str | None, jobs: int) -> Crew:
-    """Return the workers of a Dask scheduler, or so many processes of this machine.
+    """Return the workers of a Dask scheduler, or ``jobs`` local processes.
 
-    Raises InputError if no scheduler answers there, or Dask is not installed.
+    Raises InputError if the scheduler does not answer, or Dask is not installed.
     """
     return _Processes(jobs) if scheduler is None else _Cluster(scheduler)
 
 
 class _Processes(Crew):
-    """Processes of this machine, which take one job each."""
+    """Local processes, each of which does one job at a time."""
 
     def __init__(self, count: int) -> None:
         self.room = at_most(count)
-        self._resting: list[Worker] = []
-        self._running: dict[Worker, tuple[Job, float]] = {}  # and when it must be done
+        self._idle: list[Worker] = []
+        self._busy: dict[Worker, tuple[Job, float]] = {}  # with the deadline
 
     def end(self) -> None:
-        end_workers([*self._resting, *self._running])
-        self._resting, self._running = [], {}
+        end_workers([*self._idle, *self._busy])
+        self._idle, self._busy = [], {}
 
     def submit(self, job: Job) -> None:
-        worker = self._resting.pop() if self._resting else Worker()
-        self._running[worker] = job, monotonic() + _LOADED_IN + job.limit
+        worker = self._idle.pop() if self._idle else Worker()
+        self._busy[worker] = job, monotonic() + _START_TIMEOUT + job.limit
         worker.call(clean_file, job)
 
     def finished(self) -> list[tuple[Job, Row | None]]:
         results: list[tuple[Job, Row | None]] = []
         while not results:
-            first = min(until for _, until in self._running.values())
-            ready = wait(
-                [worker.calls for worker in self._running],
-                min(max(first - monotonic(), 0.0), _LOOK),
-            )
-            for worker, (job, until) in [*self._running.items()]:
+            left = min(deadline for _, deadline in self._busy.values()) - monotonic()
+            connections = [worker.calls for worker in self._busy]
+            ready = wait(connections, min(max(left, 0.0), _POLL))
+            for worker, (job, deadline) in [*self._busy.items()]:
                 message = None
                 if worker.calls in ready:
-                    with suppress(EOFError, OSError):  # it died
+                    with suppress(EOFError, OSError):  # the process died
                         message = worker.calls.recv()
-                elif until > monotonic():
+                elif deadline > monotonic():
                     continue
                 else:
                     message = _overdue(job)
-                if message is True:
-                    self._running[worker] = job, monotonic() + job.limit
+                if message is True:  # the job has begun
+                    self._busy[worker] = job, monotonic() + job.limit
                     continue
-                del self._running[worker]
+                del self._busy[worker]
                 if worker.calls in ready and message is not None:
-                    self._resting.append(worker)
+                    self._idle.append(worker)
                 else:
                     worker.end()
                 results.append((job, message))
@@ -122,25 +117,25 @@ class _Processes(Crew):
 class _Cluster(Crew):
     """The workers of a Dask scheduler.
 
-    A job whose worker dies goes to another, as often as the cluster's setting
-    ``distributed.scheduler.allowed-failures`` allows.
+    A job whose worker dies is retried by another worker, as often as the cluster's
+    setting ``distributed.scheduler.allowed-failures`` allows.
     """
 
-    room = _SCHEDULED
+    room = _MAX_SCHEDULED
 
     def __init__(self, address: str) -> None:
         require("distributed", "--scheduler", "cluster")
         import distributed
 
-        # Its log of a scheduler that goes away is one line of ours, see ``_row_of``.
+        # ``_result`` reports a lost scheduler in one line; Dask would log many.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
             client: Any = distributed.Client
-            self._client = client(address, timeout=_CONNECTED_IN)
+            self._client = client(address, timeout=_CONNECT_TIMEOUT)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"--scheduler {address}: nobody answers ({error}); start one with "
-                "'dask scheduler'"
+                f"--scheduler {address}: no scheduler answers ({error}); start one "
+                "with 'dask scheduler'"
             ) from None
         self._pool = self._client.get_executor(pure=False)
         self._running: dict[Future[Row], Job] = {}
@@ -150,12 +145,12 @@ class _Cluster(Crew):
         running, self._running = self._running, {}
         for future in running:
             future.cancel()
-        self._client.close(_CLOSED_IN)
+        self._client.close(_CLOSE_TIMEOUT)
 
     def is_idle(self) -> bool:
         try:
             return not self._client.nthreads()
-        except OSError:  # the scheduler is gone, as its jobs will tell
+        except OSError:  # the scheduler is gone, which ``_result`` reports
             return False
 
     def submit(self, job: Job) -> None:
@@ -166,51 +161,52 @@ class _Cluster(Crew):
     def finished(self) -> list[tuple[Job, Row | None]]:
         done = []
         with suppress(Empty):
-            done.append(self._done.get(timeout=_LOOK))
+            done.append(self._done.get(timeout=_POLL))
             while True:
                 done.append(self._done.get_nowait())
         jobs = [(future, self._running.pop(future)) for future in done]
-        return [(job, _row_of(future, job)) for future, job in jobs]
+        return [(job, _result(future, job)) for future, job in jobs]
 
 
 def _clean_in_time(clean: Callable[[Job], Row], job: Job) -> Row:
-    """Clean a take on a cluster's worker; end the worker if the take hangs.
+    """Clean a take on a Dask worker; end the worker if the take exceeds its limit.
 
-    A thread that hangs cannot be ended alone. The worker's nanny starts another one.
+    A hanging thread cannot be stopped without its process. The worker's nanny, if it
+    has one, starts a new worker.
     """
     from distributed import get_worker
 
     worker, rows = get_worker(), list[Row]()
-    # Correction methods hold a take's state; a cluster may run tasks on threads.
+    # Dask may run several tasks in threads, but correctors hold the state of one take.
     _one_at_a_time.acquire()
     thread = Thread(target=lambda: rows.append(clean(job)), daemon=True)
     thread.start()
     thread.join(min(job.limit, TIMEOUT_MAX))
-    if thread.is_alive():  # and nothing else is begun here
+    if thread.is_alive():  # keep the lock: nothing else may start here
         rows.append(_overdue(job))
         end: Callable[[], object] = partial(worker.loop.add_callback, worker.close)
-        Timer(_REPORTED_IN, partial(os._exit, 1) if worker.nanny else end).start()
+        Timer(_REPORT_DELAY, partial(os._exit, 1) if worker.nanny else end).start()
     else:
         _one_at_a_time.release()
     return rows[0]
 
 
 def _overdue(job: Job) -> Row:
-    wrong = f"was given up after {job.limit:.6g} s; give it longer with --take-timeout"
-    return job.row("failed", seconds=job.limit, error=wrong)
+    error = f"not finished after {job.limit:.6g} s; allow more with --take-timeout"
+    return job.row("failed", seconds=job.limit, error=error)
 
 
-def _row_of(future: Future[Row], job: Job) -> Row | None:
-    """Return the row of a job that a cluster did; None if its workers died."""
+def _result(future: Future[Row], job: Job) -> Row | None:
+    """Return the row of a finished job; None if its workers died."""
     from distributed.scheduler import KilledWorker
 
     try:
         return future.result()
     except CancelledError:
         raise InputError(
-            "the cluster is gone; start it again, and the same command goes on"
+            "the cluster is gone; restart it, and run the same command again to resume"
         ) from None
     except KilledWorker:
         return None
-    except Exception as error:  # such as a worker that has another kinefilter
+    except Exception as error:  # e.g. a worker with another version of kinefilter
         return job.row("failed", error=f"no worker could clean it ({error})")

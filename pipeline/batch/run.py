@@ -1,10 +1,10 @@
-"""Many takes into clips: each is cleaned once, whatever interrupts the run."""
+"""Cleaning many takes, each only once, even if runs are interrupted."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -19,27 +19,29 @@ from .manifest import Manifest, Row, open_manifest, write_csv
 from .plan import Job, find_sources, plan_jobs
 from .store import remove_unfinished, store_at
 
-_DIED = "its process died twice; is memory short? 'kinefilter clean' may tell more"
+_DIED = (
+    "its process died twice, perhaps for lack of memory; try 'kinefilter clean' on it"
+)
 
 
 @dataclass
 class JobProgress:
-    """How far a batch is."""
+    """Progress of a batch."""
 
-    takes: int  # to clean
-    size: int  # of these, about [bytes]
-    takes_done: int = 0  # that were cleaned, or failed
-    size_done: int = 0  # of these [bytes]
-    failed: int = 0  # takes
-    idle: bool = False  # there are no workers
+    takes: int  # takes to clean
+    size: int  # their approximate size [bytes]
+    takes_done: int = 0  # takes cleaned or failed
+    size_done: int = 0  # their approximate size [bytes]
+    failed: int = 0  # takes failed
+    idle: bool = False  # True while there are no workers
 
 
 @dataclass
 class Outcome:
-    """What became of the takes."""
+    """Result of a batch."""
 
-    kept: list[Row] = field(default_factory=list)  # of an earlier run: nothing to do
-    rows: list[Row] = field(default_factory=list)  # of this run
+    kept: list[Row] = field(default_factory=list)  # up to date from earlier runs
+    rows: list[Row] = field(default_factory=list)  # from this run
     seconds: float = 0.0  # spent cleaning
 
     @property
@@ -49,7 +51,7 @@ class Outcome:
 
     @property
     def damaged(self) -> list[Row]:
-        """Rows of takes in which something was wrong, also of earlier runs."""
+        """Rows of damaged takes, including those from earlier runs."""
         rows = [*self.kept, *self.rows]
         return [row for row in rows if any(c.failures or c.damage for c in row.clips)]
 
@@ -70,26 +72,24 @@ def clean_files(
     take_timeout: float | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> Outcome:
-    """Clean takes into a folder that mirrors theirs; go on where a run ended.
+    """Clean takes into a folder with the same tree; resume if a run was interrupted.
 
-    ``manifest.jsonl`` in the folder has a line for every take as soon as its clip is
-    there, at a URL ``manifest/*.jsonl``; ``manifest.csv`` is the table of them, written
-    at the end.
+    ``manifest.jsonl`` in ``out``, at a URL ``manifest/*.jsonl``, gets a line for each
+    take once its clip is written; the table ``manifest.csv`` is written at the end.
+    After a KeyboardInterrupt, both are up to date.
 
-    Takes, folders to search for them, and the folder for the clips are paths or URLs;
-    ``suffix`` is the extension of the clips. Settings in ``config_file`` (TOML)
-    override ``settings``, those of ``kinefilter.toml`` in the takes' folders override
-    both; no file may change those ``given``, by name. By ``sessions`` among them takes
-    of several sensors become one clip, see ``find_sessions``. ``jobs`` is the number of
-    processes, by default one a core; the workers of a Dask ``scheduler`` clean instead.
-    A take that needs more than ``take_timeout`` seconds fails, by default more than an
-    hour and a minute for each of its megabytes.
-    ``on_progress`` is called at the start, after every take, and while there are no
-    workers.
+    ``inputs`` are takes and folders to search for takes; these and ``out`` may be URLs.
+    ``suffix`` is the extension of the clips. ``config_file`` (TOML) overrides
+    ``settings``, and ``kinefilter.toml`` in the takes' folders overrides both, except
+    for the settings named in ``given``. With ``sessions`` among the settings, takes of
+    several sensors become one clip (see ``find_sessions``). Cleaning runs in ``jobs``
+    processes, by default one per core, or on the workers of a Dask ``scheduler``. A
+    take fails after ``take_timeout`` seconds, by default one hour plus one minute per
+    megabyte. ``on_progress`` is called at the start, after every take, and while there
+    are no workers.
 
-    Raises InputError if the request is impossible, or the manifest cannot be written; a
-    take that is wrong raises nothing: its row says so. After a KeyboardInterrupt the
-    manifest is up to date.
+    Raises InputError if the request is impossible or the manifest cannot be written. A
+    faulty take raises nothing; its row in the outcome has the error.
     """
     store = store_at(out)
     files = [] if config_file is None else [read_settings(config_file)]
@@ -103,12 +103,11 @@ def clean_files(
         given=given,
         take_timeout=take_timeout,
     )
-    with (
-        one_thread(),
-        # First, so that nothing is written where no scheduler answers.
-        open_crew(scheduler, jobs or cores()) as crew,
-        open_manifest(store) as manifest,
-    ):
+    with one_thread(), ExitStack() as cleanup:  # all steps, even if one is interrupted
+        # Opened first, so that nothing is written if no scheduler answers.
+        crew = open_crew(scheduler, jobs or cores())
+        cleanup.callback(crew.end)
+        manifest = cleanup.enter_context(open_manifest(store))
         written = {file.name: file for file in store.files()} if manifest.rows else {}
         outcome, todo = Outcome(), []
         for job in planned:
@@ -119,15 +118,15 @@ def clean_files(
                 todo.append(job)
 
         def write_table(error: object, *_: object) -> None:
-            with suppress(*[InputError] * (error is not None)):
+            # After another error, an unwritable table is not worth reporting.
+            with suppress(InputError) if error else nullcontext():
                 write_csv(manifest.rows.values(), store)
 
-        with ExitStack() as ending:  # does each, even if Ctrl-C ends the one before
-            ending.push(write_table)
-            ending.callback(remove_unfinished, store)
-            ending.callback(crew.end)
-            remove_unfinished(store)
-            _clean(todo, crew, manifest, outcome, on_progress)
+        cleanup.push(write_table)
+        cleanup.callback(remove_unfinished, store)
+        cleanup.callback(crew.end)
+        remove_unfinished(store)
+        _clean(todo, crew, manifest, outcome, on_progress)
     return outcome
 
 
@@ -138,12 +137,10 @@ def _clean(
     outcome: Outcome,
     on_progress: OnProgress,
 ) -> None:
-    """Do jobs, and keep manifest and outcome up to date."""
     progress = JobProgress(len(jobs), sum(job.size for job in jobs))
     start = perf_counter()
 
-    def note(done: Sequence[tuple[Job, Row]]) -> None:
-        """Note rows as they come, or none while there are no workers."""
+    def record(done: Sequence[tuple[Job, Row]]) -> None:
         rows = manifest.append([row for _, row in done])
         outcome.rows += rows
         outcome.seconds = perf_counter() - start
@@ -154,7 +151,7 @@ def _clean(
         on_progress(progress)
 
     died = list(jobs)
-    # A job whose process died is tried again, with no other job running.
+    # A job whose process died is retried, with no other job running.
     for at_once in (crew.room, 1):
         waiting, died, running = deque(died), [], 0
         done: list[tuple[Job, Row]] = []
@@ -163,7 +160,7 @@ def _clean(
                 while waiting and running < at_once:
                     crew.submit(waiting.popleft())
                     running += 1
-                note(done)  # only now that free workers have their next job
+                record(done)  # after submitting, so that no worker waits for it
                 done = []
                 finished = crew.finished()
                 running -= len(finished)
@@ -171,6 +168,6 @@ def _clean(
                 died += [job for job, row in finished if row is None]
         finally:
             if done:
-                note(done)
+                record(done)
     for job in died:
-        note([(job, job.row("failed", error=_DIED))])
+        record([(job, job.row("failed", error=_DIED))])

@@ -1,9 +1,10 @@
-"""Files that may be takes, and which of them are of one session by their names.
+"""Files that may be takes, and their grouping into sessions by name.
 
-By ``{name}_{sensor}.csv*`` takes that differ only in ``{sensor}`` are of one session;
-``*`` and ``?`` are as in a shell. The pattern is that of the end of a path, so that
-``{name}/{sensor}.csv`` has a folder for each session and ``{sensor}/{name}.csv`` one
-for each sensor. ``{sensor}`` is as short as can be, unless the names are known.
+With the pattern ``{name}_{sensor}.csv*``, takes whose names differ only in ``{sensor}``
+form a session; ``*`` and ``?`` match as in a shell. A pattern matches the end of a
+path: ``{name}/{sensor}.csv`` stands for one folder per session, ``{sensor}/{name}.csv``
+for one per sensor. ``{sensor}`` matches as little as possible, or one of the given
+names.
 """
 
 from __future__ import annotations
@@ -23,98 +24,99 @@ from kinefilter.pipeline.settings import Settings
 
 from .store import Store, StoredFile
 
-_CERTAIN = (".skeleton", ".bvh")  # extensions that only takes have
-_WILD = {"{name}": "(?P<name>[^/]+)", "*": "[^/]*", "?": "[^/]"}
+_TAKES_ONLY = (".skeleton", ".bvh")  # extensions that nothing else uses
+_WILDCARDS = {"{name}": "(?P<name>[^/]+)", "*": "[^/]*", "?": "[^/]"}
 
 
 @dataclass(frozen=True)
 class Source:
     """A file that may be a take."""
 
-    take: str  # its name in the manifest: the path below the folder that was searched
+    take: str  # its name in the manifest: the path below the searched folder
     store: Store
-    place: str  # its path without links, or its URL
+    place: str  # its path with links resolved, or its URL
     file: StoredFile
-    named: bool  # by the user, this very file: then it is a take
+    named: bool  # True if the user named this file, so that it must be a take
 
     def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
-        """Tell a take, even a broken one, from other files.
+        """Return True if the file is a take, even a broken one.
 
-        The file, or a copy of it, is read at ``path``; ``layout`` is the one that the
-        user gave for all files. Raises InputError if it cannot be read.
+        The file or a copy of it is read from ``path``; a ``layout`` given by the user
+        makes every file a take. Raises InputError if the file cannot be read.
         """
         name = self.file.name.lower().removesuffix(".gz")
-        certain = self.named or layout is not None or name.endswith(_CERTAIN)
+        certain = self.named or layout is not None or name.endswith(_TAKES_ONLY)
         return certain or claims_take(path)
 
 
 class Session(NamedTuple):
-    """Files that make one clip: a take of each sensor, or a take by itself."""
+    """Files that make one clip: one take per sensor, or a single take."""
 
     take: str  # its name in the manifest
     sources: tuple[Source, ...]
-    sensors: tuple[str, ...]  # that the pattern finds in the names of the files
+    sensors: tuple[str, ...]  # as matched in the file names; empty without a pattern
     settings: Settings
 
 
 def find_sessions(
     sources: Sequence[Source], chosen: Sequence[Settings]
 ) -> list[Session]:
-    """Return the sessions that files are of, by the pattern in the settings of each.
+    """Group files into sessions by the pattern in the settings chosen for each.
 
-    A take without a partner stays by itself, and so does what has no such name. Raises
-    InputError if a pattern is that of no file, or there are sensors without a pattern.
+    A take without a partner, or whose name does not match, is a session of its own.
+    Raises InputError if a pattern matches no file, or sensors are given without one.
     """
-    alone, unused = list[Session](), dict[str, str]()
-    found: dict[tuple[str, str, str], list[Session]] = {}
+    alone, unmatched = list[Session](), dict[str, str]()
+    groups: dict[tuple[str, str, str], list[Session]] = {}
     for source, settings in zip(sources, chosen, strict=True):
         pattern, place = settings.sessions or "", source.store.path(source.file.name)
         match = _expression(pattern, settings.sensors).fullmatch(Path(place).as_posix())
         if match is None or not pattern:
             own = replace(settings, sessions=None, sensors=(), calibration=None)
             alone.append(Session(source.take, (source,), (), own))
-            unused.setdefault(pattern, place)
+            unmatched.setdefault(pattern, place)
             continue
         take = Session(source.take, (source,), (match["sensor"],), settings)
-        found.setdefault((match["folder"], match["name"], pattern), []).append(take)
-    used = {pattern for _, _, pattern in found}
-    for pattern, place in unused.items():
+        key = match["folder"], match["name"], pattern
+        groups.setdefault(key, []).append(take)
+    used = {pattern for _, _, pattern in groups}
+    for pattern, place in unmatched.items():
         if pattern and pattern not in used:
             raise InputError(
-                f"--sessions {pattern}: no take is called so, {place} for one; give a "
-                "pattern such as {name}_{sensor}.csv* for walk_left.csv, and --sensors "
-                "as the names have them"
+                f"--sessions {pattern}: matches no take (one of them is {place}); use "
+                "a pattern such as {name}_{sensor}.csv* for walk_left.csv, and spell "
+                "--sensors as in the file names"
             )
-    if not used and (
-        sensors := next((one.sensors for one in chosen if one.sensors), ())
-    ):
-        raise InputError(f"--sensors {' '.join(sensors)}: are of --sessions; give both")
+    for settings in chosen:
+        if settings.sensors and not used:
+            names = " ".join(settings.sensors)
+            raise InputError(f"--sensors {names}: requires --sessions")
     return alone + [
-        _joined(name, pattern, t) for (_, name, pattern), t in found.items()
+        _joined(name, pattern, takes) for (_, name, pattern), takes in groups.items()
     ]
 
 
 def _joined(name: str, pattern: str, takes: Sequence[Session]) -> Session:
-    """Return takes of one sensor each as one session, in the order of the sensors."""
+    """Join takes of one sensor each into a session, in the order of the sensors."""
     if len(takes) == 1:
         return takes[0]
     order = {sensor: k for k, sensor in enumerate(takes[0].settings.sensors)}
-    first, *others = sorted(
+    takes = sorted(
         takes, key=lambda one: (order.get(one.sensors[0], 0), one.sensors, one.take)
     )
-    folders = PurePosixPath(first.take).parents
+    folders = PurePosixPath(takes[0].take).parents
     folder = folders[min(pattern.count("/"), len(folders) - 1)]
-    return first._replace(
+    return takes[0]._replace(
         take=str(folder / printable(name)),
-        sources=(*first.sources, *(one.sources[0] for one in others)),
-        sensors=(*first.sensors, *(one.sensors[0] for one in others)),
+        sources=tuple(one.sources[0] for one in takes),
+        sensors=tuple(one.sensors[0] for one in takes),
     )
 
 
 @cache
 def _expression(pattern: str, sensors: tuple[str, ...]) -> re.Pattern[str]:
-    known = "|".join(map(re.escape, sensors)) or "[^/]+?"
-    wild = _WILD | {"{sensor}": f"(?P<sensor>{known})"}
+    sensor = "|".join(map(re.escape, sensors)) or "[^/]+?"
+    wildcards = _WILDCARDS | {"{sensor}": f"(?P<sensor>{sensor})"}
     parts = re.split(r"(\{name\}|\{sensor\}|[*?])", pattern)
-    text = "".join(wild.get(part) or re.escape(part) for part in parts)
+    text = "".join(wildcards.get(part) or re.escape(part) for part in parts)
     return re.compile(f"(?P<folder>(?:.*/)?){text}", re.DOTALL)

@@ -1,7 +1,7 @@
-"""Where takes are read and clips are written: a folder, or a URL that fsspec knows.
+"""Folders that takes are read from and clips written to: local, or at fsspec URLs.
 
 fsspec (``s3://``, ``gs://``, ``file://`` and others) comes with the extra ``cluster``
-and is imported where it is used.
+and is imported only when needed.
 """
 
 from __future__ import annotations
@@ -21,33 +21,32 @@ from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats.files import atomic_path, make_folder
 from kinefilter.pipeline.settings import hash_of
 
-# A scheme has two letters or more: C: is a drive.
+# A scheme has at least two letters; C: is a drive.
 _URL = re.compile(r"[A-Za-z][\w+.:-]+://")
-# Names that ``atomic_path`` gives to temporary files: a dot and a random UUID.
+# Names of temporary files of ``atomic_path``: a dot and a random UUID.
 _TEMPORARY = re.compile(r"\.[0-9a-f]{12}4[0-9a-f]{3}[89ab][0-9a-f]{15}(\..*)?")
-_WHOLE_PUTS = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"})
-"""Object stores: a file appears there whole or not at all, and renaming is a copy."""
+_ATOMIC_PUTS = frozenset(
+    {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"}
+)
+"""Object stores, in which uploads are atomic and renaming makes a copy."""
 _TAGS = ("ETag", "etag", "md5", "mtime", "LastModified", "last_modified", "updated")
-"""Keys under which file systems report a file's last change, the most exact first."""
+"""Keys under which file systems report a file's last change, most precise first."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
     """A file in a store."""
 
-    name: str  # path below the store's root, split by /
+    name: str  # path below the store's root, separated by /
     size: int  # bytes
-    stamp: str  # size, and time or tag of the last change: another whenever it changes
+    stamp: str  # size, and time or tag of the last change; differs after any change
 
 
 @dataclass(frozen=True)
 class Store:
-    """A folder with all that is below it; can be sent to other processes.
+    """A local or mounted folder and all below it; can be sent to other processes."""
 
-    This one is of this machine, or of one that it has mounted.
-    """
-
-    root: str  # absolute path, or URL without a slash at its end
+    root: str  # absolute path, or URL without a trailing slash
     is_local: ClassVar[bool] = True
 
     def path(self, name: str) -> str:
@@ -55,18 +54,18 @@ class Store:
         return f"{self.root.rstrip('/')}/{name}"
 
     def files(self) -> Iterator[StoredFile]:
-        """Yield what is below the root, hidden files and folders left out."""
+        """Yield the files below the root, except hidden files and folders."""
         for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
             folders[:] = sorted(name for name in folders if name[0] != ".")
             inside = Path(folder).relative_to(self.root)
             for name in sorted(names):
                 if name[0] != ".":
                     path = (inside / name).as_posix()
-                    # A link to a file that is not there is told of as a take.
+                    # List broken links too, so that they are reported as failed takes.
                     yield self.find(path) or StoredFile(path, 0, "")
 
     def find(self, name: str) -> StoredFile | None:
-        """Return a file if it is there."""
+        """Return a file, or None if it does not exist."""
         try:
             stat = Path(self.root, name).stat()
         except OSError:
@@ -75,36 +74,36 @@ class Store:
 
     @contextmanager
     def reading(self, name: str) -> Iterator[Path]:
-        """Yield a path of this machine to read a file from."""
+        """Yield a local path to read a file from."""
         yield Path(self.root, name)
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
-        """Yield a path of this machine to write a whole file to; folders are made."""
-        path = Path(self.path(name))  # also where Windows sees a drive in the name
+        """Yield a local path to write a whole file to; create missing folders."""
+        path = Path(self.path(name))  # not Path(root, name): name may look like a drive
         make_folder(path.parent)
         yield path
 
     def sha256(self, name: str) -> str:
-        """Return the hash of a file's bytes."""
+        """Return the SHA-256 of a file."""
         with self.reading(name) as path:
             return hash_of(path)
 
     def put(self, name: str, data: bytes) -> None:
-        """Write a file, whole or not at all."""
+        """Write a file atomically."""
         with self.writing(name) as path, atomic_path(path) as temporary:
             temporary.write_bytes(data)
 
 
 class _RemoteStore(Store):
-    """A folder of a file system that fsspec knows."""
+    """A folder in a file system of fsspec."""
 
     is_local = False
 
     def files(self) -> Iterator[StoredFile]:
         system, root = _file_system(self.root)
         with _as_input_error(self.root):
-            # Folder by folder: a listing of everything may not fit into memory.
+            # Folder by folder, since a listing of everything may not fit into memory.
             for folder, folders, files in system.walk(root, detail=True):
                 for name in [name for name in folders if name[0] == "."]:
                     del folders[name]
@@ -121,34 +120,36 @@ class _RemoteStore(Store):
 
     @contextmanager
     def reading(self, name: str) -> Iterator[Path]:
-        system, root = _file_system(self.root)
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / PurePosixPath(name).name
+        with self._local_copy(name) as (system, remote, copy):
             with _as_input_error(self.path(name)):
-                system.get_file(f"{root}/{name}", str(copy))
+                system.get_file(remote, str(copy))
             yield copy
 
     @contextmanager
     def writing(self, name: str) -> Iterator[Path]:
-        system, root = _file_system(self.root)
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / PurePosixPath(name).name
+        with self._local_copy(name) as (system, remote, copy):
             yield copy
             with _as_input_error(self.path(name)):
-                parent, _, last = f"{root}/{name}".rpartition("/")
-                if self.root.partition("://")[0] in _WHOLE_PUTS:
-                    system.put_file(str(copy), f"{parent}/{last}")
+                if self.root.partition("://")[0] in _ATOMIC_PUTS:
+                    system.put_file(str(copy), remote)
                     return
-                suffix = PurePosixPath(last).suffix
-                temporary = f"{parent}/.{uuid.uuid4().hex}{suffix}"
+                parent = remote.rpartition("/")[0]
+                temporary = f"{parent}/.{uuid.uuid4().hex}{PurePosixPath(name).suffix}"
                 system.makedirs(parent, exist_ok=True)
                 try:
                     system.put_file(str(copy), temporary)
-                    system.mv(temporary, f"{parent}/{last}")
+                    system.mv(temporary, remote)
                 except BaseException:
                     if system.exists(temporary):
                         system.rm_file(temporary)
                     raise
+
+    @contextmanager
+    def _local_copy(self, name: str) -> Iterator[tuple[Any, str, Path]]:
+        """Yield a file's file system, its path there, and a temporary local path."""
+        system, root = _file_system(self.root)
+        with tempfile.TemporaryDirectory() as folder:
+            yield system, f"{root}/{name}", Path(folder, PurePosixPath(name).name)
 
 
 def remove_unfinished(store: Store) -> None:
@@ -156,7 +157,7 @@ def remove_unfinished(store: Store) -> None:
     for folder, _, names in os.walk(store.root) if store.is_local else ():
         for name in names:
             if _TEMPORARY.fullmatch(name):
-                with suppress(OSError):  # somebody else's, or gone
+                with suppress(OSError):  # owned by another user, or gone
                     Path(folder, name).unlink()
 
 
@@ -168,12 +169,12 @@ def store_at(place: str) -> Store:
 
 
 def is_url(place: str) -> bool:
-    """Tell a URL such as ``s3://bucket/folder`` from a path."""
+    """Return True for a URL such as ``s3://bucket/folder``, not for a path."""
     return _URL.match(place) is not None
 
 
 def is_folder(place: str) -> bool:
-    """Tell a folder from a file, or from what is not there."""
+    """Return True if a path or URL is an existing folder."""
     if not is_url(place):
         return Path(place).is_dir()
     system, path = _file_system(place)
@@ -182,13 +183,14 @@ def is_folder(place: str) -> bool:
 
 
 def canonical(place: str) -> str:
-    """Return a path without links, split by /, or a URL without / at its end."""
+    """Return a path with links resolved, or a URL without a trailing slash."""
     return place.rstrip("/") if is_url(place) else Path(place).resolve().as_posix()
 
 
 def _raise_unreadable(error: OSError) -> None:
-    wrong = f"cannot be searched ({error.strerror}); check its permissions"
-    raise InputError(f"{error.filename}: {wrong}") from error
+    raise InputError(
+        f"{error.filename}: cannot be searched ({error.strerror}); check permissions"
+    ) from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -209,20 +211,19 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _as_input_error(url: str) -> Iterator[None]:
-    """Turn whatever a file system raises into an InputError."""
     try:
         yield
     except InputError:
         raise
-    except Exception as error:  # every protocol has errors of its own
+    except Exception as error:  # every protocol has its own exceptions
         raise InputError(
-            f"{url}: the store refused ({type(error).__name__}: {error}); check the "
+            f"{url}: access failed ({type(error).__name__}: {error}); check the "
             "address and your permissions"
         ) from error
 
 
 def _stored_file(name: str, info: Mapping[str, Any]) -> StoredFile:
-    # Without a tag the stamp never matches, so that the file's content decides.
+    # Without a tag, the stamp never matches, so that the content is compared.
     tags = (str(info[key]) for key in _TAGS if info.get(key) is not None)
     tag = next(tags, "") or uuid.uuid4().hex
     size = int(info.get("size") or 0)

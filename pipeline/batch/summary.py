@@ -1,4 +1,4 @@
-"""What a batch prints at its end: counts, pace, and where to look."""
+"""Summary of a batch for the terminal: counts, speed, worst and failed takes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from kinefilter.pipeline.formats.plain import counted
 from .manifest import ClipRow, Row
 from .run import Outcome
 
-_WORST = 5
-_MOST_FAILED = 20  # names; the manifest has all
+_MAX_WORST = 5
+_MAX_FAILED = 20  # the manifest has all
 
 
 def as_tables(outcome: Outcome) -> RenderableType:
-    """Return the outcome for a terminal.
+    """Return the outcome as tables for the terminal.
 
-    The worst takes are those in which the largest external force pulled the character:
-    no body can do what a tracker invents. Without physics they are those that the
-    database covers the least.
+    The worst takes are those with the largest external force, since tracker errors look
+    like motion that no body can perform; without physics, those that the database
+    covers the least.
     """
     rows = [*outcome.kept, *outcome.rows]
     clips = [(row, clip) for row in rows for clip in row.clips]
@@ -31,14 +31,14 @@ def as_tables(outcome: Outcome) -> RenderableType:
         return force, pair[1].share_outside_database or 0.0
 
     clips.sort(key=badness, reverse=True)
-    tables = [_worst_table(clips[:_WORST])] if clips else []
+    tables = [_worst_table(clips[:_MAX_WORST])] if clips else []
     if outcome.failed:
         table = Table(title="failed", title_justify="left")
-        for name in ("take", "why"):
+        for name in ("take", "error"):
             table.add_column(name, overflow="fold")
-        for row in outcome.failed[:_MOST_FAILED]:
+        for row in outcome.failed[:_MAX_FAILED]:
             table.add_row(row.take, row.error)
-        more = len(outcome.failed) - _MOST_FAILED
+        more = len(outcome.failed) - _MAX_FAILED
         table.caption = f"and {more} more, see the manifest" if more > 0 else None
         tables.append(table)
     return Group(_counts(outcome), *tables)
@@ -49,18 +49,21 @@ def _counts(outcome: Outcome) -> str:
     done = sum(row.status == "done" for row in outcome.rows)
     kept = sum(row.status == "done" for row in outcome.kept)
     others = sum(row.status == "no take" for row in rows)
-    frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
-    seconds = max(outcome.seconds, 1e-9)
-    words = [f"{counted(done, 'take')} cleaned", f"{len(outcome.failed)} failed"]
-    together = [len(row.sensors) for row in rows if row.status == "done"]
-    sessions, alone = sum(n > 1 for n in together), together.count(1)
-    words += [f"{counted(sessions, 'clip')} of several sensors"] * bool(sessions)
-    words += [f"{alone} without a partner, see manifest.csv"] * bool(alone)
-    words += [f"{kept} done before"] * bool(kept)
+    sensors = [len(row.sensors) for row in rows if row.status == "done"]
+    sessions, alone = sum(n > 1 for n in sensors), sensors.count(1)
     damaged = len(outcome.damaged)
-    words += [f"{damaged} with damage, see manifest.csv"] * bool(damaged)
-    words += [f"{counted(others, 'other file')} skipped"] * bool(others)
+    counts = (
+        (True, f"{counted(done, 'take')} cleaned, {len(outcome.failed)} failed"),
+        (sessions, f"{counted(sessions, 'clip')} of several sensors"),
+        (alone, f"{alone} without a partner (see manifest.csv)"),
+        (kept, f"{kept} already done"),
+        (damaged, f"{damaged} with damage (see manifest.csv)"),
+        (others, f"{counted(others, 'other file')} skipped"),
+    )
+    words = [text for count, text in counts if count]
     if outcome.rows:
+        frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
+        seconds = max(outcome.seconds, 1e-9)
         words.append(
             f"{counted(frames, 'frame')} in {outcome.seconds:.1f} s: "
             f"{frames / seconds:.0f} frames/s, {done / seconds:.2f} takes/s"
@@ -74,8 +77,8 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
     for name in ("force", "outside", "slide", "jitter", "failures"):
         table.add_column(name, no_wrap=True, justify="right")
     table.caption = (
-        "external force in body weights; frames outside the database; feet slide in mm "
-        "a frame; jitter as a share of raw; failures of the tracker"
+        "external force in body weights; frames outside the database; slide of planted "
+        "feet in mm per frame; jitter relative to the raw take; tracker failures"
     )
     for row, clip in worst:
         share = None

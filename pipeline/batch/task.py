@@ -1,7 +1,7 @@
-"""A take of a batch, from its file to its clips: what a worker does.
+"""The work of one worker of a batch: from a take's file to its clips.
 
-A worker keeps the correction methods that it has made, with their databases and
-models, for the next take; each starts over with every take.
+Workers keep cleaners, with their databases and models, for later takes; correctors are
+reset for each take.
 """
 
 from __future__ import annotations
@@ -32,38 +32,37 @@ from .sessions import Source
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
 
-_KEPT = 4  # correction methods in memory: two skeletons, of two folders at a time
-_LONGEST = 1000  # characters of an error that a row keeps
+_KEPT = 4  # cleaners in memory: for two skeletons in each of two folders
+_MAX_ERROR = 1000  # characters of an error in a row
 
 
 def clean_file(job: Job) -> Row:
-    """Clean a take and write its clips; errors are in the row."""
+    """Clean a take and write its clips; errors are reported in the row."""
     start = perf_counter()
-    known: dict[str, Any] = {"status": "done"}
+    row: dict[str, Any] = {"status": "done"}
     with one_thread():
         try:
             suffix = PurePosixPath(job.output).suffix
             _check_same(job.settings, suffix, job.fingerprint)
             read = [_read(source, job.settings) for source in job.sources]
-            known["sha256"] = " ".join(sha256 for _, sha256 in read)
+            row["sha256"] = " ".join(sha256 for _, sha256 in read)
             if any(recording for recording, _ in read):
-                known |= _write_clips([recording for recording, _ in read], job)
+                row |= _write_clips([recording for recording, _ in read], job)
             else:
-                known["status"] = "no take"
-        except InputError as refused:
-            known["error"] = str(refused)
-        except Exception as unforeseen:  # the other takes are still to be cleaned
-            wrong = f"cannot be cleaned ({type(unforeseen).__name__}: {unforeseen})"
-            known["error"] = wrong
-    read = []
+                row["status"] = "no take"
+        except InputError as error:
+            row["error"] = str(error)
+        except Exception as error:  # must not end the batch
+            row["error"] = f"cannot be cleaned ({type(error).__name__}: {error})"
+    read = []  # free the memory
     give_back_memory()
-    if known.get("error"):
-        known |= {"status": "failed", "error": printable(known["error"])[:_LONGEST]}
-    return job.row(**known, seconds=perf_counter() - start)
+    if row.get("error"):
+        row |= {"status": "failed", "error": printable(row["error"])[:_MAX_ERROR]}
+    return job.row(**row, seconds=perf_counter() - start)
 
 
 def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
-    """Return a take's content, or None if the file is none, and the file's hash."""
+    """Return a file's recording, or None if it is not a take, and its hash."""
     with source.store.reading(source.file.name) as path:
         sha256 = hash_of(path)
         try:
@@ -71,11 +70,11 @@ def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
                 return None, sha256
             recording = settings.read(path)
         except InputError as error:
-            # The user does not know the name of a temporary copy.
+            # Name the user's file, not a temporary copy.
             where = source.store.path(source.file.name)
             raise InputError(str(error).replace(str(path), where)) from None
     takes = [
-        # The clip must not depend on where the folder, or a copy of the file, is.
+        # The clip must not depend on the location of the folder or of a copy.
         replace(take, source=take.source.replace(str(path), source.take))
         for take in recording.takes
     ]
@@ -83,56 +82,55 @@ def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
 
 
 def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
-    """Clean the people asked for; return what was written, and what went wrong."""
+    """Clean the chosen people, and return values of the row, with any errors."""
     recordings = [recording for recording in read if recording is not None]
     bodies = recordings[0].numbers(job.settings.body)
     if len(recordings) > 1 and job.settings.body == "all":
-        raise InputError("--body all is for one sensor; choose a person of its take")
+        raise InputError("--body all is for one sensor; give --body N for a session")
     names = [n for n, take in zip(job.sensors, read, strict=False) if take is not None]
-    told = (*_told_of_sensors(read, job), *recordings[0].notes)
-    known: dict[str, Any] = {"clips": ()}
+    take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
+    row: dict[str, Any] = {"clips": ()}
     errors = []
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            result, merged = _cleaned(recordings, body, job)
-            notes = (*told, *(merged.told() if merged else ()), *result.notes)
-            told_of = replace(result, notes=notes)
+            result, merged = _clean(recordings, body, job)
+            notes = (*take_notes, *(merged.told() if merged else ()), *result.notes)
+            result = replace(result, notes=notes)
             paths = part_paths(path, len(result.clips))
-            known["clips"] += tuple(
-                _written(told_of, clip, str(path), body, job)
+            row["clips"] += tuple(
+                _write(result, clip, str(path), body, job)
                 for path, clip in zip(paths, result.clips, strict=True)
             )
             if merged:
                 figures = zip(names, merged.figures()["sensors"], strict=True)
-                known["sensors"] = tuple({"sensor": n} | row for n, row in figures)
+                row["sensors"] = tuple({"sensor": n} | values for n, values in figures)
         except InputError as error:
             errors.append(str(error))
-    return known | {"error": "; ".join(errors)}
+    return row | {"error": "; ".join(errors)}
 
 
-def _told_of_sensors(read: Sequence[Recording | None], job: Job) -> Iterator[str]:
-    """Yield which sensors have no take in a session."""
+def _missing_sensors(read: Sequence[Recording | None], job: Job) -> Iterator[str]:
+    """Yield a note for each sensor without a take in a session."""
     for recording, source in zip(read, job.sources, strict=True):
         if recording is None:
-            yield f"{source.take} is no take: cleaned without it"
+            yield f"{source.take} is not a take; cleaned without it"
     absent = [name for name in job.settings.sensors if name not in job.sensors]
     if absent:
-        yield f"there is no take of {' and '.join(absent)}: cleaned without"
+        yield f"no take of {' and '.join(absent)}; cleaned without"
     elif len(job.sensors) == 1:
-        yield "there is no take of another sensor: cleaned by itself"
+        yield "no take of another sensor; cleaned alone"
 
 
 @lru_cache(maxsize=_KEPT)
 def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
-    """Return a cleaner; the fingerprint tells changed files apart."""
+    """Return a cached cleaner; the fingerprint changes with the contents of files."""
     return Cleaner(config)
 
 
-def _cleaned(
+def _clean(
     recordings: Sequence[Recording], body: int, job: Job
 ) -> tuple[CleanResult, Merged | None]:
-    """Clean a person of a take or session; return what was merged, too."""
     settings = job.settings
     if len(recordings) == 1:
         cleaner = _cleaner(settings.config, job.fingerprint)
@@ -142,8 +140,8 @@ def _cleaned(
 
     if len(set(job.sensors)) < len(job.sensors):
         raise InputError(
-            f"{', '.join(source.take for source in job.sources)}: are not each of "
-            "another sensor by --sessions; narrow the pattern"
+            f"{', '.join(source.take for source in job.sources)}: several are by the "
+            "same sensor according to --sessions; use a narrower pattern"
         )
     return clean_session(
         recordings,
@@ -154,16 +152,13 @@ def _cleaned(
     )
 
 
-def _written(
-    result: CleanResult, clip: Clip, name: str, body: int, job: Job
-) -> ClipRow:
-    """Write a clip of a person, and return its main figures."""
+def _write(result: CleanResult, clip: Clip, name: str, body: int, job: Job) -> ClipRow:
     with job.store.writing(name) as path:
         write_clip(clip, path, job.settings.export)
         sha256 = hash_of(path)
     file = job.store.find(name)
     if file is None:
-        raise InputError(f"{job.store.path(name)}: was removed while it was written")
+        raise InputError(f"{job.store.path(name)}: was removed while being written")
     trace, last = result.trace, [*result.stages.values()][-1]
     force = np.nan if trace is None else float(trace.external_force.mean())
     return ClipRow(
@@ -187,17 +182,17 @@ def _written(
 
 @lru_cache(maxsize=_KEPT)
 def _check_same(settings: Settings, suffix: str, planned: str) -> None:
-    """Raise an InputError if this worker's settings differ from those of the plan."""
+    """Raise an InputError if settings here differ from those planned."""
     if fingerprint(settings, suffix) != planned:
         raise InputError(
             "this worker has another kinefilter, model or database than the machine "
-            "that gave it the take; install and copy the same"
+            "that started the batch; install and copy the same ones"
         )
 
 
 def _while_awaited(_stage: str, count: int) -> Iterator[int]:
-    """Yield the steps of a stage as long as somebody waits for it."""
+    """Yield the steps of a stage until the parent process stops waiting."""
     for step in range(count):
         if given_up():
-            sys.exit()  # a process of its own, which ends with unfinished files gone
+            sys.exit()  # ends this process, removing unfinished files
         yield step

@@ -1,3 +1,3 @@
-"""The commands of the lab: they parse and print, as those of ``pipeline.commands``."""
+"""The commands of the lab; like ``pipeline.commands``, they only parse and print."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""Files that commands of the lab take: folders of them, and clips of pairs."""
+"""Inputs of the lab's commands: files in folders, and clips of pairs files."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from kinefilter.pipeline.progress import Progress, over
 
 
 def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
-    """Yield the clips of pairs files, a file at a time in memory."""
+    """Yield the clips of pairs files, with one file in memory at a time."""
     for file in over(files, "read", progress):
         yield from read_pairs(file)
 
 
 def in_folders(paths: Sequence[Path], suffixes: tuple[str, ...]) -> list[Path]:
-    """Return files as they are, and for a folder the files below it with a suffix.
+    """Return the paths, with each folder replaced by all files below it with a suffix.
 
-    Raises an InputError if a folder holds no such file.
+    Raises an InputError if a folder contains no such file.
     """
     found: list[Path] = []
     for path in paths:

@@ -1,4 +1,4 @@
-"""The commands that learn from mocap: ``pair``, ``train`` and ``database``."""
+"""The commands that learn from recordings: ``pair``, ``train`` and ``database``."""
 
 from __future__ import annotations
 
@@ -31,35 +31,38 @@ _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
 
 @dataclass(frozen=True)
 class Pair:
-    """Make training pairs of Kinect takes and mocap of the same movement.
+    """Make training pairs from Kinect takes and mocap of the same movement.
 
-    Clocks and axes may be any. The lag is found from how the movements correlate, then
-    one rigid transform from where the joints are, which all takes share: sensor and
-    mocap have to stand still. What cannot be trusted is left out and told. A take whose
-    mocap explains too little of its movement is left out (exit code 1; 2 if none is
-    left). That finds other movements and people, but only two in three of other
-    repetitions of the same short movement.
+    The two recordings of a pair need neither a common clock nor common axes. Their lag
+    is found by correlating the movements, then one rigid transform, common to all
+    takes, by aligning the joints; sensor and mocap system must therefore stay in place.
+    Frames and joints that cannot be trusted are left out and reported.
+
+    A take whose mocap explains too little of its movement is left out; the exit code is
+    then 1, or 2 if no take remains. This detects mocap of a different movement or
+    person, but only two in three cases of another repetition of the same short
+    movement.
     """
 
     files: Positional[tuple[Path, ...]]
-    """Takes of one person, and after each its mocap: C3D or TRC of markers, or BVH, AMC
-    (its ASF beside it), C3D or TRC with joints."""
+    """Takes of one person, each followed by its mocap: C3D or TRC of markers, or BVH,
+    AMC (with its ASF beside it), C3D or TRC of joint centers."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """Pairs to write (.npz), for train and evaluate."""
+    """Pairs file to write (.npz), for train and evaluate."""
     subject: str | None = None
-    """Who moves; default: the name of the output."""
+    """Name of the person; default: the name of the output file."""
     markers: Path | None = None
-    """Where joints lie among the markers (.toml), as in
-    pipeline/lab/embedded/plug_in_gait.toml, which is the default."""
+    """Table that locates joints among the markers (.toml); default: Plug-in Gait, in
+    pipeline/lab/embedded/plug_in_gait.toml."""
     least: float = 0.55
-    """Share of a take's movement that its mocap has to explain, 0 to 1."""
+    """Minimum share of a take's movement that its mocap must explain, 0 to 1."""
     picture: Path | None = None
-    """Also draw how far each joint is from the mocap (.png)."""
+    """Also plot the distance of each joint from the mocap (.png)."""
     json: Path | None = None
-    """Write lags, transforms and what was left out to this file too."""
+    """Also write lags, transforms and what was left out to this JSON file."""
 
     def run(self) -> int:
-        """Pair, write, print."""
+        """Match takes with mocap, write the pairs, and print how well they match."""
         from kinefilter.pipeline.formats.mocap import read_mocap
         from kinefilter.pipeline.formats.takes import read_take
         from kinefilter.pipeline.lab import pairing_report as report
@@ -70,17 +73,17 @@ class Pair:
 
         if len(self.files) < 2 or len(self.files) % 2:
             raise InputError(
-                f"{counted(len(self.files), 'file')} given; give takes, and after each "
+                f"{counted(len(self.files), 'file')} given; give each take followed by "
                 "its mocap: TAKE MOCAP TAKE MOCAP ..."
             )
         if not 0.0 <= self.least <= 1.0:
-            raise InputError(f"--least {self.least:g}: expected a share, 0 to 1")
-        for path, suffix in ((self.out, ".npz"), (self.picture, ".png")):
+            raise InputError(f"--least {self.least:g}: must be in [0, 1]")
+        outputs = (self.out, ".npz"), (self.picture, ".png"), (self.json, "")
+        for path, suffix in outputs:
             check_output(path, *self.files, suffix=suffix)
-        check_output(self.json, *self.files)
         if self.picture is not None:
             check_drawing()
-        table = None if self.markers is None else read_marker_set(self.markers)
+        marker_set = None if self.markers is None else read_marker_set(self.markers)
         recordings = [
             (read_take(take), read_mocap(mocap))
             for take, mocap in zip(self.files[::2], self.files[1::2], strict=True)
@@ -89,7 +92,7 @@ class Pair:
             pairings, refused = pair_session(
                 recordings,
                 subject=self.subject or self.out.stem,
-                table=table,
+                table=marker_set,
                 least=self.least,
                 progress=progress,
             )
@@ -110,11 +113,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class Train:
-    """Teach a correction method from pairs of Kinect and mocap.
+    """Train a correction method on pairs of Kinect takes and mocap.
 
-    The weights that clean has by default (pipeline/embedded/learned.npz) are what the
-    six files of UI-PRMD and the sessions of two Kinects teach, in some minutes. learned
-    learns from simulated people as well, beside the recorded ones.
+    The weights that clean uses by default (pipeline/embedded/learned.npz) come from the
+    six pairs files of UI-PRMD and the sessions of two Kinects; training takes a few
+    minutes. In addition to the recordings, learned is trained on simulated people.
     """
 
     out: Annotated[Path, arg(aliases=["-o"])]
@@ -122,44 +125,45 @@ class Train:
     pairs: Positional[tuple[Path, ...]] = ()
     """Pairs files (.npz), or folders of them; they may be larger than memory."""
     simulated: Skeletons | None = None
-    """Learn from simulated pairs of this skeleton, in place of files."""
+    """Train on simulated pairs of this skeleton instead of files."""
     furnished: bool = False
-    """Simulate people with things before them and in their hands, not alone."""
+    """Also simulate people behind props and people who handle props."""
     method: LearnedName = "learned"
-    """What to teach."""
+    """Method to train."""
     preset: PresetName | None = None
-    """Teach a paper's system instead, with its constants, on the frames that its
-    reliability lets through."""
+    """Train a paper's system instead, with its constants, on the frames that its
+    reliability accepts."""
     set: tuple[str, ...] = ()
-    """Parameters of --preset or --method, such as clusters=50; an unknown name lists
-    them."""
+    """Parameters of --preset or --method, such as clusters=50. An unknown name lists
+    those that exist."""
     views: tuple[Path, ...] = ()
-    """Sessions of two sensors, NAME.sync.csv beside NAME_A and NAME_B, or folders of
-    them: they teach learned how limbs on the far side of the body move."""
+    """Sessions of two sensors, or folders of them: NAME.sync.csv beside NAME_A*.csv*
+    and NAME_B*.csv*. From these, learned learns how limbs on the far side of the body
+    move."""
     people: bool = False
-    """Let learned know the people in the pairs by name, for clean --person."""
+    """Have learned also learn what is specific to each person in the pairs, for clean
+    --person."""
 
     def run(self) -> int:
-        """Learn and write."""
+        """Train the method and write the model."""
         from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
         from kinefilter.pipeline.lab.teach import teach
         from kinefilter.pipeline.lab.training import training_set
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
 
-        config = CleanConfig(preset=self.preset, set=self.set)
-        if self.preset is None:
-            config = CleanConfig(method=self.method, set=self.set)
+        chosen = None if self.preset else self.method
+        config = CleanConfig(method=chosen, preset=self.preset, set=self.set)
         method = config.method or self.method
         if method not in LEARNED:
             raise InputError(
-                f"--preset {self.preset} does not learn from pairs: 'kinefilter "
-                "database build' makes what it needs"
+                f"--preset {self.preset} does not learn from pairs; it needs a "
+                "database from 'kinefilter database build'"
             )
         if bool(self.pairs) == (self.simulated is not None):
-            raise InputError("give pairs files or --simulated SKELETON, not both")
+            raise InputError("give either pairs files or --simulated SKELETON")
         if self.furnished and self.simulated is None:
-            raise InputError("--furnished needs --simulated SKELETON")
+            raise InputError("--furnished requires --simulated SKELETON")
         if method != "learned" and (self.views or self.people):
             raise InputError(f"--views and --people are for learned, not {method}")
         files = in_folders(self.pairs, (".npz",))
@@ -167,27 +171,27 @@ class Train:
         sessions = find_sessions(self.views, None)
         with progress_bars() as progress:
             if self.simulated is None:
-                lessons = training_set(clips_of(files, progress), config)
+                training = training_set(clips_of(files, progress), config)
             else:
                 simulated = furnished_pairs if self.furnished else simulated_pairs
                 pairs = simulated(self.simulated, progress=progress)
-                lessons = training_set(pairs, config)
-            views, source = None, lessons.source
+                training = training_set(pairs, config)
+            views, source = None, training.source
             if sessions:
                 views = training_set(view_pairs(sessions, progress))
-                source += f", and before two sensors {views.source}"
+                source += f" and two-sensor sessions ({views.source})"
             learner = teach(
                 method,
-                lessons,
+                training,
                 views=views,
                 people=self.people,
                 settings=config.parameters.method,
                 progress=progress,
             )
-        model = Model(learner, method, lessons.skeleton, source, self.preset)
+        model = Model(learner, method, training.skeleton, source, self.preset)
         save_model(model, self.out)
-        asked = f"{self.preset}, " if self.preset else ""
-        out.print(f"wrote {self.out}: {asked}{method}, learned from {source}")
+        preset = f"{self.preset}, " if self.preset else ""
+        out.print(f"wrote {self.out}: {preset}{method}, trained on {source}")
         return 0
 
 
@@ -199,21 +203,21 @@ class DatabaseBuild:
     """Database to write (.npz)."""
     files: Positional[tuple[Path, ...]] = ()
     """Mocap: BVH (.gz too), AMC with its ASF, C3D or TRC of joint centers; or pairs
-    files (.npz), whose mocap is used. A folder stands for the files in it and in its
-    folders; they may be larger than memory."""
+    files (.npz), whose mocap is used. Folders are searched with their subfolders. The
+    files may be larger than memory."""
     skeleton: Skeletons = "kinect_v1"
-    """Skeleton of the takes to be cleaned with it."""
+    """Skeleton of the takes that the database is for."""
     count: int = 2574
-    """About how many postures to keep."""
+    """Approximate number of postures to keep."""
     scripted: bool = False
     """Build from scripted performances instead of files, like the built-in database."""
 
     def run(self) -> int:
-        """Build the database and write it."""
+        """Build and write the database."""
         from kinefilter.pipeline.lab import database_build as build
 
         if self.count < 2:
-            raise InputError(f"--count {self.count}: expected 2 postures or more")
+            raise InputError(f"--count {self.count}: must be at least 2")
         if bool(self.files) == self.scripted:
             raise InputError("give either mocap files or --scripted")
         files = in_folders(self.files, _MOCAP)
@@ -247,7 +251,7 @@ class DatabaseInfo:
     """Database (.npz)."""
 
     def run(self) -> int:
-        """Read the database and print its content."""
+        """Print the summary, and the number of postures with each label."""
         database = PostureDatabase.load(self.file)
         out.print(f"{self.file}: {database.summary}")
         for label, count in sorted(Counter(database.labels.tolist()).items()):

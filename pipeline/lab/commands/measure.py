@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
+from rich.table import Table
 from tyro.conf import Positional, arg
 
 from kinefilter.characters import InputError
@@ -29,107 +30,115 @@ _METHODS = (
 class Evaluate:
     """Measure correction methods against marker mocap.
 
-    Each method corrects in the place of clean's own, and the clip that comes out is
-    compared with the mocap: E, the distance of limb joints relative to the middle of
-    the hips; E_std, the same with both sides at standard bone lengths; E_var, the same
-    without each joint's constant offset over a clip, which is what one sees as wrong
-    motion. Means over frames and joints, then over people, in cm, and against raw.
-    Beside them: how many coordinates are within the uncertainty that the clip states
-    (within), and how well the distance by which a method moves joints tells those that
-    were 7 cm off (found, the area under the ROC curve).
+    Each method replaces clean's own correction, and the resulting clip is compared with
+    the mocap. E is the distance of limb joints from the mocap, relative to the middle
+    of the hips; E_std the same with both sides scaled to standard bone lengths; E_var
+    the same without each joint's constant offset over a clip, which leaves what a
+    viewer notices as wrong motion. All are in cm: means over frames and joints, then
+    over people, and relative to the raw take. Two more columns: within, the share of
+    coordinates within the uncertainty that the clip states, and found, how well the
+    distance by which a method moves a joint detects errors above 7 cm (area under the
+    ROC curve).
 
-    default is exactly what clean does, with the weights that ship: they were learned on
-    the six people of UI-PRMD and on fourteen before two Kinects, so learned tells what
-    it is worth to others. none is clean without any correction.
+    default is exactly what clean does, with the weights that ship. They were trained on
+    the six people of UI-PRMD and on fourteen people recorded by two Kinects; learned is
+    trained anew and therefore shows how well they work on others. none is clean without
+    any correction.
 
-    Presets are the papers' systems, with no stage that a paper does not have. Methods
-    in turn are joined, as learned+local-pca, and any may have parameters of its own, as
+    Presets are the papers' systems, without the stages that a paper lacks. Methods can
+    be chained, as in learned+local-pca, and can have parameters of their own, as in
     local-pca:neighbors=30.
 
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
-    are compared with those of the clip cleaned with nothing hidden, and with mocap.
-    Beside the methods stand the clip with nothing hidden (seen), and the limb held
-    still in the heading frame (hold), or turned evenly from where it was last seen to
-    where it is seen next (slerp), both of which begin and end where the clip with
-    nothing hidden has the limb; and the take cleaned with a smooth curve drawn where
-    the limb is hidden (spline).
+    are compared with the clip cleaned with nothing hidden, and with mocap. For
+    reference, the table also has the clip with nothing hidden (seen); the limb held
+    still in the heading frame (hold) or turned evenly from where it was last seen to
+    where it reappears (slerp), both starting and ending on the clip with nothing
+    hidden; and the take cleaned with a smooth curve (spline) for the hidden limb.
 
-    With --views, the limbs of a sensor beside a person are compared with those that a
-    sensor in front of the person saw at the same time; the method learned then learns
-    from --train and from the sessions of other people.
+    With --views, the limbs from a sensor beside a person are compared with what a
+    sensor in front of the person saw at the same time. Here learned is trained on the
+    files of --train and on the sessions of other people.
     """
 
     pairs: Positional[tuple[Path, ...]] = ()
     """Pairs files for --hide."""
     train: tuple[Path, ...] = ()
-    """Pairs files (.npz) to learn from; none for methods that do not learn. With --hide
-    takes and mocap (.bvh) as well: from these, and from the clips of the other people,
-    it is learned what hidden limbs mostly do, in place of what ships."""
+    """Pairs files (.npz) to train on; none for methods that are not trained. With
+    --hide also takes and mocap (.bvh): the prior for hidden limbs is trained on these
+    and on the clips of the other people, instead of the one that ships."""
     test: tuple[Path, ...] = ()
-    """Pairs files to test on; default: one person of --train after the other."""
+    """Pairs files to test on; default: each person of --train in turn."""
     methods: str = ""
     """Methods, comma-separated; default: none,butterworth,savgol,one-euro,kalman,
-    low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, and with
-    --hide and --views none,default."""
+    low-rank,local-pca,default,exemplar,full-gp,local-gp,clustered-gp,learned, or
+    none,default with --hide and --views."""
     presets: str = ""
-    """Papers' systems, comma-separated, or all; they stand beside --methods, if those
-    are given."""
+    """The papers' systems, comma-separated, or all. Methods are measured beside them
+    only if --methods is given."""
     set: tuple[str, ...] = ()
-    """Parameters of all methods and presets that have them, such as clusters=50; for
-    one of them, --presets liu-2016,liu-2016:clusters=50."""
+    """Parameters of all methods and presets that have them, such as clusters=50. To set
+    them for one only: --presets liu-2016,liu-2016:clusters=50."""
     protocol: Literal["people", "movements", "repetitions"] = "people"
-    """Test on people that were not learned from, on their movements of which nobody's
-    was either, or on new repetitions of known people."""
+    """Test on people who are not in the training data; on people and movements neither
+    of which is in it; or on new repetitions by the people in it."""
     physics: bool = True
-    """Pull the simulated character through what the methods give, as clean does."""
+    """Pull the simulated character through the corrected motion, as clean does."""
     ablation: bool = False
-    """Also measure methods without a part of them: local-gp without terms of its
-    energy (Liu 2016, Table 5), Shum's methods A and B beside local-pca."""
+    """Also measure methods without some of their parts: local-gp without terms of its
+    energy (Liu 2016, Table 5), and Shum's methods A and B beside local-pca."""
     database: Path | None = None
     """Motion database (.npz) for methods that need one; default: the built-in one,
-    which the method default always has."""
+    which the method default always uses."""
     mocap_database: bool = False
-    """Take the mocap of the clips that are learned from for the motion database."""
+    """Use the mocap of the training clips as the motion database."""
     hide: tuple[str, ...] = ()
-    """Limbs to hide, one after the other: left-arm, right-arm, arms, left-leg, legs,
-    shins, left-hand (wrist and hand) and so on."""
+    """Limbs to hide, one at a time: left-arm, right-arm, arms, left-leg, legs, shins,
+    left-hand (wrist and hand) and so on."""
     gap: tuple[str, ...] = ("55%",)
-    """How long a limb is hidden: seconds, or per cent of the clip. Clips that are too
-    short are left out and counted."""
+    """How long a limb is hidden: seconds, or a percentage of the clip. Clips that are
+    too short are skipped and counted."""
     guess: Literal["none", "drift", "hang", "jitter"] = "none"
-    """What the sensor says of a hidden limb: nothing, or, as inferred, its last place
-    drifting away by 20 cm/s, hanging straight down, or trembling by 5 cm."""
+    """What the sensor reports for a hidden limb: nothing, or, as inferred, its last
+    position drifting away at 20 cm/s, hanging straight down, or jittering by 5 cm."""
     context: Literal["alone", "repetitions"] = "alone"
-    """Whether each clip is a take by itself, or all repetitions of a movement follow
-    each other in one take, in which every third has a limb hidden."""
+    """Treat each clip as a take of its own, or join all repetitions of a movement into
+    one take and hide the limb in every third."""
     live: bool = False
     """With --hide: clean frame by frame, without looking ahead."""
     by: Literal["movement", "gap", "person"] | None = None
-    """With --hide: a row for each movement, gap or person."""
+    """With --hide: print a row for each movement, gap or person."""
     every: int = 1
-    """Test only on every Nth clip, or take, to see something sooner."""
+    """Test only on every Nth clip or take, for a quicker estimate."""
     views: tuple[Path, ...] = ()
-    """Two takes of the same person, with --sync, or folders and patterns of sessions:
+    """Two takes of the same person, with --sync; or folders or patterns of sessions:
     NAME.sync.csv beside NAME_A*.csv* and NAME_B*.csv*."""
     sync: Path | None = None
-    """CSV file milliseconds,A,B: the stamp of either sensor's latest frame."""
+    """CSV file milliseconds,A,B: the time stamp of each sensor's latest frame."""
     json: Path | None = None
-    """Write the figures to this file too."""
+    """Also write the figures to this JSON file."""
 
     def run(self) -> int:
-        """Evaluate and print."""
-        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
-
+        """Measure and print a table."""
         files = (*self.pairs, *self.views, *self.train, *self.test)
         check_output(self.json, *files, self.sync, self.database)
         if self.views:
-            return self._views()
-        if self.hide:
-            return self._hide()
+            figures, table = self._views()
+        elif self.hide:
+            figures, table = self._hide()
+        else:
+            figures, table = self._methods()
+        write_json(figures, self.json)
+        out.print(table)
+        return 0
+
+    def _methods(self) -> tuple[dict[str, Any], Table]:
+        from kinefilter.pipeline.lab.evaluate import as_table, evaluate
+
         if self.pairs:
-            raise InputError("PAIRS are for --hide; give --train or --test, or --hide")
+            raise InputError("PAIRS are for --hide; add it, or use --train and --test")
         if self.mocap_database and self.database is not None:
-            raise InputError("give --database or --mocap-database, not both")
+            raise InputError("give either --database or --mocap-database")
         database: PostureDatabase | Literal["mocap"] | None = None
         if self.mocap_database:
             database = "mocap"
@@ -151,24 +160,23 @@ class Evaluate:
                 every=self.every,
                 progress=progress,
             )
-        write_json(figures, self.json)
-        out.print(as_table(figures))
-        return 0
+        return figures, as_table(figures)
 
-    def _hide(self) -> int:
-        """Hide limbs and print how near to them the clips come."""
+    def _hide(self) -> tuple[dict[str, Any], Table]:
         from kinefilter.pipeline.lab import hidden_limbs
 
         if not self.pairs:
-            raise InputError("--hide needs pairs files: evaluate PAIRS --hide left-arm")
+            raise InputError(
+                "--hide needs pairs files, as in evaluate PAIRS --hide left-arm"
+            )
         options = hidden_limbs.HiddenLimbs(
             self.hide, self.gap, self.guess, self.context, self.live, self.physics
         )
-        usual = "" if self.presets else "none,default"
+        default = "" if self.presets else "none,default"
         with progress_bars() as progress:
             records, skipped = hidden_limbs.measure_hidden(
                 list(clips_of(self.pairs, progress)),
-                _listed(self.methods or usual),
+                _listed(self.methods or default),
                 options,
                 recordings=self.train,
                 presets=_listed(self.presets),
@@ -180,38 +188,28 @@ class Evaluate:
             by or "all": hidden_limbs.summarize(records, by)
             for by in (None, *get_args(hidden_limbs.By))
         }
-        figures = {**asdict(options), "skipped": skipped, "rows": rows}
-        write_json({**figures, "clips": records}, self.json)
+        figures = asdict(options) | {"skipped": skipped, "rows": rows, "clips": records}
         title = (
             f"hidden for {', '.join(self.gap)}, guess {self.guess}, clips "
             f"{'alone' if self.context == 'alone' else 'among repetitions'}"
             f"{', live' if self.live else ''}; {skipped} too short"
         )
-        table = hidden_limbs.summarize(records, self.by)
-        out.print(hidden_limbs.as_table(table, title, self.by))
-        return 0
+        summary = hidden_limbs.summarize(records, self.by)
+        return figures, hidden_limbs.as_table(summary, title, self.by)
 
-    def _views(self) -> int:
-        """Print how near the limbs of two sensors are to each other."""
-        from kinefilter.pipeline.lab.two_views import (
-            as_table,
-            compare_views,
-            find_sessions,
-        )
+    def _views(self) -> tuple[dict[str, Any], Table]:
+        from kinefilter.pipeline.lab import two_views
 
-        sessions = find_sessions(self.views, self.sync)
-        methods = (self.methods or "none,default").split(",")
+        sessions = two_views.find_sessions(self.views, self.sync)
         with progress_bars() as progress:
-            figures = compare_views(
+            figures = two_views.compare_views(
                 sessions,
-                methods,
+                _listed(self.methods or "none,default"),
                 train=list(clips_of(self.train, progress)),
                 physics=self.physics,
                 progress=progress,
             )
-        write_json(figures, self.json)
-        out.print(as_table(figures))
-        return 0
+        return figures, two_views.as_table(figures)
 
 
 def _listed(names: str) -> list[str]:
@@ -220,53 +218,53 @@ def _listed(names: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Measure again what README and the papers say: a table and a plot for each study.
+    """Measure again what README and the papers report: a table and a plot per study.
 
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
-    methods-known-people, presets, failures, reliability; of speed: speed,
-    million-postures; of the papers, on simulated takes: shum-tables-1-2, shum-table-3,
+    methods-known-people, presets, failures, reliability. Speed: speed,
+    million-postures. The papers on simulated takes: shum-tables-1-2, shum-table-3,
     shum-table-4, shum-figure-8, liu-figure-3, liu-figure-7, liu-figure-8, liu-table-2,
-    liu-table-3, chiang-figure-5, chiang-figure-7, wang-table-1; on recorded ones too:
-    liu-table-4, liu-table-5, chiang-table-1, chiang-tables-2-3, wang-figure-1; of the
-    virtual Kinect's trackers (Liu 2016, section 5.4): tracker-errors, tracker-lessons.
-    What people rate, as in Shum's and Liu's figures 6, is for 'kinefilter rate'.
+    liu-table-3, chiang-figure-5, chiang-figure-7, wang-table-1; on recorded takes as
+    well: liu-table-4, liu-table-5, chiang-table-1, chiang-tables-2-3, wang-figure-1.
+    Trackers of the virtual Kinect (Liu 2016, section 5.4): tracker-errors,
+    tracker-lessons. To have people rate clips, as in figure 6 of Shum and of Liu, use
+    kinefilter rate.
 
-    With --all, every study and picture is made and every figure of README compared with
-    what was measured, in over an hour on two cores; the exit code is 1 if one
-    does not hold. The same command again makes only what is missing or was made with
-    other code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
-    needs OpenGL, pictures of pages need viser, Chromium and a checkout.
+    With --all, every study and picture is made and every figure of README is compared
+    with the measured one, in over an hour on two cores; the exit code is 1 if a figure
+    does not hold. Running it again makes only what is missing or was made with other
+    code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
+    also needs OpenGL, pictures of pages need viser, Chromium and a checkout.
     """
 
     studies: Positional[tuple[str, ...]] = ()
     """Names of studies."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder to write STUDY.csv and STUDY.png into; created if it is missing."""
+    """Folder for STUDY.csv and STUDY.png; created if missing."""
     all: Path | None = None
-    """Make everything in this folder, and claims.csv: figures of README beside those
-    measured."""
+    """Make everything in this folder, including claims.csv, README's figures beside the
+    measured ones."""
     data: Path | None = None
-    """Folder of recordings, by default ../shared/data if it exists. It holds takes in
-    takes/*/*.csv or .csv.gz, where *_failure have gross failures and those in precog16
-    are punches and kicks, and pairs (as 'simulate --pairs' writes), one person each,
-    in ui-prmd/s*.npz, their clips named m01_... by the movement. Without recordings,
-    people are simulated, and what needs recordings is not measured."""
+    """Folder of recordings; default: ../shared/data if it exists. It contains takes,
+    takes/*/*.csv or .csv.gz (*_failure have gross failures, those in precog16 are
+    punches and kicks), and pairs files of one person each, ui-prmd/s*.npz, in the
+    format of 'simulate --pairs', with clips named by movement, m01_... Without
+    recordings, people are simulated, and what needs recordings is not measured."""
     seed: int = 0
-    """Seed of simulated people, performances and the sensor's errors."""
+    """Seed of simulated people, performances and sensor errors."""
     quick: bool = False
-    """Use a small part of everything, as a trial; the figures mean little."""
+    """Trial run on a small part of everything; its figures mean little."""
 
     def run(self) -> int:
-        """Study, write, print."""
+        """Run the studies, and write and print their results."""
         from kinefilter.pipeline.lab import studies
 
-        if self.all is not None and (self.studies or self.out is not None):
-            raise InputError("give --all FOLDER alone, or studies and -o FOLDER")
-        if self.seed < 0:
-            raise InputError(f"--seed {self.seed}: expected 0 or more")
         folder = self.out if self.all is None else self.all
-        if folder is None or (self.all is None and not self.studies):
-            raise InputError("give studies and -o FOLDER, or --all FOLDER")
+        two_folders = self.all is not None and self.out is not None
+        if folder is None or two_folders or bool(self.studies) != (self.all is None):
+            raise InputError("give either --all FOLDER, or studies and -o FOLDER")
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed}: must be at least 0")
         names = self.studies if self.all is None else tuple(studies.STUDIES)
         studies.check_names(names)
         studies.check_drawing()
@@ -289,25 +287,25 @@ class Reproduce:
         with progress_bars() as progress:
             for line in studies.make_pictures(folder, data=data, progress=progress):
                 out.print(line)
-        claims, real = studies.claims, data is not None
-        found = claims.judge(folder, recordings=real, quick=self.quick)
-        verdicts = claims.write_verdicts(found, folder)
-        out.print(claims.verdicts_table(found))
-        out.print(f"wrote {verdicts}")
-        return int(any(verdict.held is False for verdict in found))
+        claims, recorded = studies.claims, data is not None
+        verdicts = claims.judge(folder, recordings=recorded, quick=self.quick)
+        path = claims.write_verdicts(verdicts, folder)
+        out.print(claims.verdicts_table(verdicts))
+        out.print(f"wrote {path}")
+        return int(any(verdict.held is False for verdict in verdicts))
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Time every stage frame by frame, a live frame in all, and whole takes."""
+    """Time each stage per frame, a complete live frame, and whole takes."""
 
     take: Path | None = None
-    """Take to time on; default: the sample that comes with kinefilter."""
+    """Take to time with; default: the sample that ships with kinefilter."""
     json: Path | None = None
-    """Write the figures to this file too."""
+    """Also write the figures to this JSON file."""
 
     def run(self) -> int:
-        """Time and print."""
+        """Measure the times and print a table."""
         from kinefilter.pipeline.lab.bench import as_table, bench
 
         check_output(self.json, self.take)

@@ -23,59 +23,59 @@ from .inputs import in_folders
 
 @dataclass(frozen=True)
 class Rate:
-    """Make a page on which people grade clips, not knowing which system made them.
+    """Make a page on which people grade clips without knowing the systems behind them.
 
     The page shows two clips of the same motion side by side, from the same camera, and
-    asks for a grade of each from 1 to 9, as Shum et al. 2013 did (Figure 6). Order and
-    sides are shuffled. It needs no network and holds no names of systems and files;
-    those are in a key beside it, which raters should not get. Raters save their answers
+    asks for a grade from 1 to 9 for each, as in Shum et al. 2013 (Figure 6). Order and
+    sides are random. The page works offline and contains no names of systems or files;
+    these are in a key beside it, which raters should not get. Raters save their answers
     as JSON files, which 'kinefilter ratings' reads.
     """
 
     systems: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME=]CLIPS ...")]
-    """For each system a clip, or a folder of clips, named after it or as NAME=PATH:
-    raw=take.csv shum=shum/ default=clips/. Motions are told apart by the names of
-    the files. A take is drawn as recorded, leveled to the floor of another system's
-    clip."""
+    """For each system a clip or a folder of clips; its name is that of the file or
+    folder unless given as NAME=PATH: raw=take.csv shum=shum/ default=clips/. Clips of
+    the same motion must have the same file name. Takes are drawn as recorded, leveled
+    to the floor of another system's clip."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Page to write (.html); the key is written beside it, PAGE.key.json."""
     reference: Path | None = None
-    """How the people really moved, mocap or a take, as a file or a folder: it is seen
-    beside the clips, and grades say how accurate they are instead of how natural."""
+    """The true motions, mocap or takes, as a file or a folder. They are shown beside
+    the clips, and raters grade how accurate the clips are instead of how natural."""
     single: bool = False
-    """Show one clip at a time, as Shum et al. did, instead of two."""
+    """Show one clip at a time, as in Shum et al., instead of two."""
     repeats: int = 2
-    """Trials that come once more at the end, their sides exchanged, to see whether
-    raters agree with themselves."""
+    """Number of trials repeated at the end with sides swapped, to test whether raters
+    are consistent."""
     seed: int = 0
-    """Seed of what is shuffled: same seed, same page."""
+    """Seed of the random order; the same seed gives the same page."""
 
     def run(self) -> int:
-        """Read the clips, write the page and its key."""
+        """Write the page and its key."""
         from kinefilter.pipeline.lab import rating
 
         for name, number in (("--seed", self.seed), ("--repeats", self.repeats)):
             if number < 0:
-                raise InputError(f"{name} {number}: expected 0 or more")
-        check_output(self.out, suffix=".html")
+                raise InputError(f"{name} {number}: must be at least 0")
         key = self.out.with_suffix(".key.json")
+        check_output(self.out, suffix=".html")
         check_output(key)
         systems: dict[str, rating.Motions] = {}
-        for word in self.systems:
-            name, own = rating.find_system(word)
+        for argument in self.systems:
+            name, motions = rating.find_system(argument)
             if name in systems:
                 raise InputError(
-                    f"{word}: a second system called {name!r}; give it as NAME=PATH"
+                    f"{argument}: another system is also called {name!r}; rename it as "
+                    "NAME=PATH"
                 )
-            systems[name] = own
-        path = self.reference
-        reference = None if path is None else rating.motions_of(path)
-        for own in (*systems.values(), reference or {}):
-            for path in own.values():
+            systems[name] = motions
+        reference = rating.motions_of(self.reference) if self.reference else None
+        for motions in (*systems.values(), reference or {}):
+            for path in motions.values():
                 keep(self.out, path)
                 keep(key, path)
         with progress_bars() as progress:
-            made = rating.write_rating_page(
+            page = rating.write_rating_page(
                 systems,
                 self.out,
                 key,
@@ -85,35 +85,36 @@ class Rate:
                 seed=self.seed,
                 progress=progress,
             )
-        motions, trials = len(made["motions"]), len(made["trials"])
-        for name, own in systems.items():
-            if len(own) > motions:
-                out.print(f"{name}: left out {len(own) - motions} that others lack")
-        told = f"{counted(motions, 'motion')}, {counted(trials, 'trial')}"
-        out.print(f"wrote {self.out}: {told}")
-        out.print(f"wrote {key}, which says whose clips they are: keep it from raters")
+        shown, trials = len(page["motions"]), len(page["trials"])
+        for name, motions in systems.items():
+            if unshared := len(motions) - shown:
+                left_out = counted(unshared, "motion")
+                out.print(f"{name}: left out {left_out} that other systems lack")
+        counts = f"{counted(shown, 'motion')}, {counted(trials, 'trial')}"
+        out.print(f"wrote {self.out}: {counts}")
+        out.print(f"wrote {key}, which names the systems: do not show it to raters")
         return 0
 
 
 @dataclass(frozen=True)
 class Ratings:
-    """Say what raters thought: mean grades of systems, and which differ.
+    """Summarize the answers of raters: mean grades, and which systems differ.
 
-    Means over raters with their 95 % interval (Student's), standard deviations of the
-    grades as in Figure 6 of Shum et al. 2013, how often each system had the higher
-    grade of two, and for each two systems whether they differ: Wilcoxon's signed ranks,
-    corrected after Holm. The paper names no test.
+    Prints means over raters with 95 % intervals (Student's t), standard deviations of
+    the grades as in Figure 6 of Shum et al. 2013, how often each system got the higher
+    of two grades, and for each two systems whether they differ, by Wilcoxon's
+    signed-rank test with Holm's correction. The paper names no test.
     """
 
     answers: Positional[tuple[Path, ...]]
-    """Files that raters have saved (.json), or folders of them."""
+    """Files of answers saved by raters (.json), or folders of them."""
     key: Path
     """The key that 'kinefilter rate' wrote beside the page."""
     json: Path | None = None
-    """Write the figures to this file too."""
+    """Also write the figures to this JSON file."""
 
     def run(self) -> int:
-        """Read, compute, print."""
+        """Read the answers and print the tables."""
         from kinefilter.pipeline.lab import ratings
 
         files = in_folders(self.answers, (".json",))

@@ -1,4 +1,4 @@
-"""The command that lets virtual sensors record: ``simulate``."""
+"""The command ``simulate``, which records with virtual sensors."""
 
 from __future__ import annotations
 
@@ -20,95 +20,92 @@ _MOST_SENSORS = 4
 
 @dataclass(frozen=True)
 class Simulate:
-    """Let a virtual Kinect record a scripted motion, so that the truth is known."""
+    """Record a scripted motion with a virtual Kinect, so that the truth is known."""
 
     scene: Positional[str]
-    """Surroundings of the person: a scene (an unknown name lists the scenes), or an
-    MJCF file (.xml)."""
+    """Surroundings of the person: the name of a scene (an unknown name lists them), or
+    an MJCF file (.xml)."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Take to write (.csv)."""
     motion: str | None = None
-    """What the person does, such as walk, tai_chi or lift_box; default: what fits the
-    scene. People squat, lunge, step_over, sit and raise_leg in everyday life;
+    """What the person does, such as walk, tai_chi or lift_box; default: a motion that
+    fits the scene. squat, lunge, step_over, sit and raise_leg are everyday movements;
     deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
-    often done wrong. Who walks, runs, marches or carries stays in the sensor's view.
-    Or a mocap file (BVH, AMC, C3D or TRC with joint centers), whose motion the sensors
-    see from the middle of the room."""
+    often done wrong. Walking, running, marching and carrying stay in the sensor's view.
+    May also be a mocap file (BVH, AMC, C3D or TRC of joint centers), played in the
+    middle of the room."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
-    """Which Kinect records."""
+    """Model of the Kinect."""
     tracker: Literal["model", "depth"] = "model"
-    """How joints are found: put beside the truth by a model of Kinect's errors, or
-    looked for in depth images by a second tracker (Shotton et al. 2011), at some 20
-    frames a second."""
+    """How joints are found: model adds errors like a Kinect's to the truth; depth finds
+    joints in rendered depth images (Shotton et al. 2011), about 20 frames per
+    second."""
     skeleton: Skeletons | None = None
     """Skeleton of the take; default: the sensor's."""
     seed: int = 0
-    """Seed of person, performance and errors: same seed, same bytes."""
+    """Seed of person, performance and errors; the same seed gives the same file."""
     sensors: int = 1
-    """How many sensors stand around the person, each with a clock and errors of its
-    own: take.1.csv, take.2.csv and so on, to merge."""
+    """Number of sensors around the person, each with its own clock and errors; writes
+    take.1.csv, take.2.csv and so on, for merge."""
     degrees: float = 90.0
-    """Angle around the person from each sensor to the next."""
+    """Angle around the person from each sensor to the next [degrees]."""
     truth: Path | None = None
-    """Also write the true motion to this file (.csv); of several sensors as the first
-    would see it."""
+    """Also write the true motion to this file (.csv), in the frame of reference of the
+    first sensor."""
     pairs: Path | None = None
-    """Also write take and truth as a pairs file (.npz), to train and evaluate with."""
+    """Also write take and truth as a pairs file (.npz), for train and evaluate."""
 
     def run(self) -> int:
-        """Simulate the take and write it."""
+        """Simulate and write the take or takes."""
         from kinefilter.pipeline.lab import simulate as lab
 
         if self.seed < 0:
-            raise InputError(f"--seed {self.seed}: expected 0 or more")
+            raise InputError(f"--seed {self.seed}: must be at least 0")
         if not 1 <= self.sensors <= _MOST_SENSORS:
-            raise InputError(f"--sensors {self.sensors}: expected 1 to {_MOST_SENSORS}")
+            raise InputError(f"--sensors {self.sensors}: must be 1 to {_MOST_SENSORS}")
         if not isfinite(self.degrees):
-            raise InputError(f"--degrees {self.degrees}: expected an angle")
+            raise InputError(f"--degrees {self.degrees}: must be finite")
         check_output(self.out, self.truth, self.pairs, suffix=".csv")
         check_output(self.truth, suffix=".csv")
         check_output(self.pairs, suffix=".npz")
         motion = self.motion or lab.motion_for(self.scene)
+        paths = [self.out]
         if self.sensors > 1:
-            return self._session(motion)
-        pair = lab.simulate(
-            self.scene,
-            motion,
-            sensor=self.sensor,
-            skeleton=self.skeleton,
-            seed=self.seed,
-            stay_in_view=True,
-            tracker=self.tracker,
-        )
-        write_take_csv(pair.take, self.out)
+            if (self.skeleton, self.pairs, self.tracker) != (None, None, "model"):
+                raise InputError("--skeleton, --pairs and --tracker are for one sensor")
+            paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
+            for path in paths:
+                check_output(path, self.truth)
+            views = lab.simulate_session(
+                self.scene,
+                motion,
+                sensors=[self.sensor] * self.sensors,
+                degrees=self.degrees,
+                seed=self.seed,
+            )
+            pairs = [view.pair for view in views]
+        else:
+            pairs = [
+                lab.simulate(
+                    self.scene,
+                    motion,
+                    sensor=self.sensor,
+                    skeleton=self.skeleton,
+                    seed=self.seed,
+                    stay_in_view=True,
+                    tracker=self.tracker,
+                )
+            ]
+        for path, pair in zip(paths, pairs, strict=True):
+            write_take_csv(pair.take, path)
         if self.truth is not None:
-            write_take_csv(lab.truth_of(pair), self.truth)
+            write_take_csv(lab.truth_of(pairs[0]), self.truth)
         if self.pairs is not None:
-            lab.write_pairs([pair], self.pairs)
-        tracked = (pair.take.state == State.TRACKED).mean()
-        frames = counted(len(pair.take), "frame")
-        out.print(f"wrote {self.out}: {frames}, {tracked:.0%} tracked")
-        return 0
-
-    def _session(self, motion: str) -> int:
-        """Simulate several sensors."""
-        from kinefilter.pipeline.lab import simulate as lab
-
-        if (self.skeleton, self.pairs, self.tracker) != (None, None, "model"):
-            raise InputError("--skeleton, --pairs and --tracker are for one sensor")
-        paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
-        for path in paths:
-            check_output(path, self.truth)
-        views = lab.simulate_session(
-            self.scene,
-            motion,
-            sensors=[self.sensor] * self.sensors,
-            degrees=self.degrees,
-            seed=self.seed,
-        )
-        for path, view in zip(paths, views, strict=True):
-            write_take_csv(view.pair.take, path)
-        if self.truth is not None:
-            write_take_csv(lab.truth_of(views[0].pair), self.truth)
-        out.print(f"wrote {', '.join(map(str, paths))}")
+            lab.write_pairs(pairs, self.pairs)
+        written = ", ".join(map(str, paths))
+        if len(pairs) == 1:
+            take = pairs[0].take
+            tracked = (take.state == State.TRACKED).mean()
+            written += f": {counted(len(take), 'frame')}, {tracked:.0%} tracked"
+        out.print(f"wrote {written}")
         return 0
