@@ -34,7 +34,6 @@ class FullGP(FusedOffsets):
     probabilistic model", VRST: the predecessor that Liu 2016 compares with.
 
     Args:
-        skeleton: The joints.
         samples: Maximum number of training frames.
         variance: ``exact`` costs one product with an N x N matrix per joint and frame,
             N being the number of samples; ``bound`` is an upper bound from the ten most
@@ -144,7 +143,6 @@ class Exemplar(OffsetCorrector):
     correction and tagging", CVPR, as far as Liu 2016 compares with it.
 
     Args:
-        skeleton: The joints.
         samples: Maximum number of training frames.
         neighbors: Number of postures averaged.
         seed: Seed for drawing the training frames.

@@ -70,7 +70,6 @@ class ClusteredGP(Learner):
     training data stay as measured.
 
     Args:
-        skeleton: The joints.
         centroids: Q, number of clusters of training postures.
         smallest_reliability: Minimum reliability of every joint of a training posture.
         predicts: What the process models: ``offsets``, or mocap ``positions`` (eq. 5).

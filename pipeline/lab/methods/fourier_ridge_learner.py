@@ -34,7 +34,6 @@ class FourierRidgeLearner(FourierRidge, Learner):
     """The shipped corrector with its training.
 
     Args:
-        skeleton: The joints.
         samples: Number of random features per part for whole takes; live motion has
             half as many.
         seed: Seed of their frequencies.
@@ -114,20 +113,18 @@ class FourierRidgeLearner(FourierRidge, Learner):
             random = RandomFeatures(
                 self.mean_[columns], count, self.seed, part.weights[columns]
             )
-            people, simulated, beside = (
-                [_of_part(person, part.joints) for person in group]
-                for group in (recorded, others, aside)
-            )
             mean = offset[np.isin(learned, part.joints)].ravel().astype(np.float32)
-            shared = ridge_weights(random, columns, people, simulated, mean, steps)
-            far, zero = shared[:0], np.zeros_like(mean)
-            if beside:
-                far = ridge_weights(random, columns, beside, [], zero, steps)
+            people, simulated, beside = (
+                [_of_part(person, part, columns, less) for person in group]
+                for group, less in ((recorded, mean), (others, mean), (aside, 0.0))
+            )
+            shared = ridge_weights(random, people, simulated, steps)
+            far = ridge_weights(random, beside, [], steps) if beside else shared[:0]
             own = []
             # Each person is followed by their mirror image, for the right limbs.
             for person in people[: 2 * len(self.people_)]:
                 next(steps)
-                own.append(own_weights(random, columns, person, shared, mean))
+                own.append(own_weights(random, person, shared))
             shape = (len(self.people_), 2, len(shared) + 1, len(mean))
             return [shared, far, np.reshape(own, shape)]
 
@@ -163,10 +160,13 @@ def _features_of(people: list[Person]) -> Singles:
     return np.concatenate([person.features for person in people])
 
 
-def _of_part(person: Person, joints: Indices) -> Person:
-    """Return a person with the offsets of some of the known joints."""
-    offsets = person.offsets.reshape(len(person.offsets), -1, 3)[:, joints]
-    return replace(person, offsets=offsets.reshape(len(offsets), -1))
+def _of_part(
+    person: Person, part: Part, columns: Indices, mean: Singles | float
+) -> Person:
+    """Return a person's frames for one part, less a mean offset [m]."""
+    offsets = person.offsets.reshape(len(person.offsets), -1, 3)[:, part.joints]
+    offsets = offsets.reshape(len(offsets), -1) - mean
+    return replace(person, features=person.features[:, columns], offsets=offsets)
 
 
 def _centers_of(features: Singles, count: int) -> Singles:

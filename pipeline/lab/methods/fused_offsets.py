@@ -96,7 +96,6 @@ class FusedOffsets(OffsetCorrector):
     """Adds to each joint the offset of least energy around a prediction.
 
     Args:
-        skeleton: The joints.
         samples: Maximum number of training frames.
         seed: Seed for drawing the training frames.
         spatial: See ``Energy`` for this and the other keywords.
@@ -110,10 +109,7 @@ class FusedOffsets(OffsetCorrector):
     misplaced_: Array
     """Variance [m^2] of the reliability term's density, which is a ratio: the density
     of reliable joints' offsets over that of all offsets, shape (M,)."""
-    adjustable: ClassVar[tuple[str, ...]] = (
-        *("spatial", "temporal", "reliability", "likelihood", "carry", "spared"),
-        "inputs",
-    )
+    adjustable: ClassVar[tuple[str, ...]] = tuple(Energy.__annotations__)
 
     def __init__(
         self,

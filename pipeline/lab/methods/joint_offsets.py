@@ -29,13 +29,7 @@ the gain was lost (on the people that the virtual Kinect is calibrated to)."""
 
 
 class JointOffsets(OffsetCorrector):
-    """Adds to each joint an offset to mocap that is constant in the body.
-
-    Args:
-        skeleton: The joints.
-        samples: Maximum number of training frames.
-        seed: Seed for drawing the training frames.
-    """
+    """Adds to each joint an offset to mocap that is constant in the body."""
 
     fitted = ("joints", "shares")
 

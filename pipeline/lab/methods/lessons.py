@@ -66,7 +66,6 @@ class OffsetCorrector(Learner):
     """Fills missing joints, then adds an offset to each joint.
 
     Args:
-        skeleton: The joints.
         samples: Maximum number of training frames.
         seed: Seed for drawing the training frames.
     """

@@ -40,7 +40,6 @@ class LocalGP(FusedOffsets):
     """Adds to each joint the offset of least energy, around local predictions.
 
     Args:
-        skeleton: The joints.
         clusters: Q, number of local models per joint.
         samples: S, maximum number of samples per local model.
         blended: L, number of nearest local models that are blended.

@@ -40,7 +40,6 @@ class JointFeatures:
     """Positions of a joint and of those that share a bone with it (Liu, section 4.1).
 
     Args:
-        skeleton: The joints.
         learned: Joints that have offsets, shape (M,).
         seen: Joints that the sensor measures; the others are left out, shape (J,).
     """

@@ -106,26 +106,22 @@ def _take(training: TrainingSet, rows: Indices, features: PostureFeatures) -> _T
 
 def ridge_weights(
     random: RandomFeatures,
-    columns: Indices,
     recorded: list[Person],
     simulated: list[Person],
-    mean: Singles,
     steps: Iterator[int],
 ) -> Array:
     """Return the weights that all people share, with random effects marginalized.
 
     Args:
         random: The random features.
-        columns: Columns of the people's features that the random features are made of.
-        recorded: Recorded people.
-        simulated: Simulated people.
-        mean: Mean offsets of the recorded people [m].
+        recorded: Recorded people, whose mean offset has been subtracted.
+        simulated: Simulated people, likewise.
         steps: Advanced once per person, for a progress bar.
     """
     size = random.size + 1
     information = np.zeros((size, size), dtype=np.float32, order="F")
-    products = np.zeros((size, len(mean)))
-    _add(information, products, random, columns, simulated, mean, steps)
+    products = np.zeros((size, recorded[0].offsets.shape[1]))
+    _add(information, products, random, simulated, steps)
     if simulated:
         # The effect that all of them share: (I + aG)^-1 G = (I - (I + aG)^-1) / a.
         total = _symmetric(information).astype(float) * _SIMULATED_SHARE
@@ -135,32 +131,18 @@ def ridge_weights(
         inverse = cho_solve(factor, np.eye(size), overwrite_b=True)
         inverse[np.diag_indices(size)] -= 1.0
         information = np.asfortranarray(inverse / -_SIMULATED_SHARE, dtype=np.float32)
-    _add(information, products, random, columns, recorded, mean, steps)
+    _add(information, products, random, recorded, steps)
     total = _symmetric(information).astype(float)[:-1, :-1]
     total[np.diag_indices(size - 1)] += 1.0
     return np.asarray(cho_solve(cho_factor(total, overwrite_a=True), products[:-1]))
 
 
-def own_weights(
-    random: RandomFeatures,
-    columns: Indices,
-    person: Person,
-    weights: Array,
-    mean: Singles,
-) -> Array:
-    """Return a person's own weights on top of the shared ones, a constant last.
-
-    Args:
-        random: The random features.
-        columns: Columns of the person's features that the random features are made of.
-        person: The person.
-        weights: The weights that all people share.
-        mean: Mean offsets of all people [m].
-    """
-    rows, products, same_clip = _design(random, columns, person)
+def own_weights(random: RandomFeatures, person: Person, shared: Array) -> Array:
+    """Return a person's own weights on top of the shared ones, a constant last."""
+    rows, products, same_clip = _design(random, person)
     covariance = _OWN * products + _OWN_CLIP * same_clip
     covariance[np.diag_indices(len(rows))] += _OWN_NOISE
-    residuals = person.offsets - mean - rows[:, :-1] @ weights
+    residuals = person.offsets - rows[:, :-1] @ shared
     factor = cho_factor(covariance, overwrite_a=True)
     return np.asarray(_OWN * rows.T @ cho_solve(factor, residuals))
 
@@ -169,16 +151,14 @@ def _add(
     information: Singles,
     products: Array,
     random: RandomFeatures,
-    columns: Indices,
     people: list[Person],
-    mean: Singles,
     steps: Iterator[int],
 ) -> None:
     """Add people's normal equations, for weights and a constant, in place."""
     waiting: list[Singles] = []
     for person in people:
         next(steps)
-        rows, offsets = _whitened(random, columns, person, mean)
+        rows, offsets = _whitened(random, person)
         products += rows.T @ offsets
         waiting.append(rows)
         if person is people[-1] or sum(map(len, waiting)) > _BATCH:
@@ -186,27 +166,22 @@ def _add(
             blas.ssyrk(1.0, rows.T, beta=1.0, c=information, overwrite_c=1)
 
 
-def _whitened(
-    random: RandomFeatures, columns: Indices, person: Person, mean: Singles
-) -> tuple[Singles, Singles]:
+def _whitened(random: RandomFeatures, person: Person) -> tuple[Singles, Singles]:
     """Return a person's features and offsets, whitened by the frames' covariance."""
-    rows, products, same_clip = _design(random, columns, person)
+    rows, products, same_clip = _design(random, person)
     covariance = _SHARE * (products + same_clip)
     covariance[np.diag_indices(len(rows))] += person.noise
     factor = cholesky(covariance, lower=True, overwrite_a=True).astype(np.float32)
-    offsets = (person.offsets - mean).astype(np.float32)
-    both = np.hstack([rows, offsets])
+    both = np.hstack([rows, person.offsets.astype(np.float32)])
     white = solve_triangular(factor, both, lower=True, overwrite_b=True)
     white = white.astype(np.float32, copy=False)
     return white[:, : random.size + 1], white[:, random.size + 1 :]
 
 
-def _design(
-    random: RandomFeatures, columns: Indices, person: Person
-) -> tuple[Singles, Array, Array]:
+def _design(random: RandomFeatures, person: Person) -> tuple[Singles, Array, Array]:
     """Return random features with a constant, their products, and 1 per equal clip."""
     rows = np.ones((len(person.features), random.size + 1), dtype=np.float32)
-    rows[:, :-1] = random(person.features[:, columns])
+    rows[:, :-1] = random(person.features)
     same_clip = (person.clips[:, None] == person.clips).astype(float)
     return rows, (rows @ rows.T).astype(float), same_clip
 

@@ -20,7 +20,6 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     temporal term, whose threshold is per frame, at 30 Hz.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
         largest_displacement: T [m]: joints that move less are not in error (eq. 10).
         steepness: Reliability lost per T beyond T; by default 0 is reached at 1.25 T

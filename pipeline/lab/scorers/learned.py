@@ -110,7 +110,6 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     geometry is the reliability that the joint would have if it were always tracked.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
         weights: Weights of the clues; by default those of the embedded file.
     """

@@ -50,7 +50,6 @@ class NoiseReliabilityScorer(ReliabilityScorer):
     closer to the truth than a reconstructed position.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
     """
 
