@@ -18,11 +18,8 @@ from .fused_offsets import Energy, FusedOffsets
 from .lessons import OffsetCorrector, TrainingFrames, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
 
-_PREDICTION_ALONE: Energy = {
-    "temporal": 0.0,
-    "reliability": 0.0,
-    "likelihood": "density",
-}
+# The prediction alone counts.
+_ENERGY: Energy = {"temporal": 0.0, "reliability": 0.0, "likelihood": "density"}
 _FOR_VARIANCE = 10  # nearest samples used for the bound on the variance
 _NO_OFFSET = 0.05  # weight of a zero offset, against 1 for an identical posture
 
@@ -56,8 +53,7 @@ class FullGP(FusedOffsets):
         seed: int = 0,
         **energy: Unpack[Energy],
     ) -> None:
-        energy = _PREDICTION_ALONE | energy
-        super().__init__(skeleton, samples=samples, seed=seed, **energy)
+        super().__init__(skeleton, samples=samples, seed=seed, **_ENERGY | energy)
         self.variance = variance
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:

@@ -11,13 +11,8 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.pipeline.correct import Hold
-from kinefilter.pipeline.correct.interface import (
-    Correction,
-    Corrector,
-    Observation,
-    measured_only,
-)
+from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
+from kinefilter.pipeline.correct.interface import measured_only
 from kinefilter.retarget import BoneLengths
 
 SENSOR_NOISE, LOST_NOISE = 0.01, 0.3

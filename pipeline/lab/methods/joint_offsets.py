@@ -76,6 +76,6 @@ class JointOffsets(OffsetCorrector):
         girdle = postures[..., self.skeleton.girdle, :]
         spine = girdle - postures[..., self.skeleton.root, :]
         ahead = unit(cross(across, spine[..., None, :]))
-        vectors = (ending, starting, cross(ending, starting), across)
-        vectors = (*vectors, cross(ahead, across), ahead)
+        vectors = [ending, starting, cross(ending, starting), across]
+        vectors += [cross(ahead, across), ahead]
         return np.stack(np.broadcast_arrays(*vectors), axis=-1)

@@ -159,14 +159,10 @@ class LocalGP(FusedOffsets):
         self._models = self._local_models()
 
     def _local_models(self) -> LocalModels:
+        arrays = (self.centers_, self.features_, self.offsets_, self.counts_)
+        spare = self.spare if self.adapt else 0
         return LocalModels(
-            self.kernels,
-            self.centers_,
-            self.features_,
-            self.offsets_,
-            self.counts_,
-            spare=self.spare if self.adapt else 0,
-            redundancy=self.redundancy,
+            self.kernels, *arrays, spare=spare, redundancy=self.redundancy
         )
 
     def start(self) -> None:

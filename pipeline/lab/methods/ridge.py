@@ -173,8 +173,8 @@ def _whitened(random: RandomFeatures, person: Person) -> tuple[Singles, Singles]
     covariance[np.diag_indices(len(rows))] += person.noise
     factor = cholesky(covariance, lower=True, overwrite_a=True).astype(np.float32)
     both = np.hstack([rows, person.offsets.astype(np.float32)])
-    white = solve_triangular(factor, both, lower=True, overwrite_b=True)
-    white = white.astype(np.float32, copy=False)
+    solved = solve_triangular(factor, both, lower=True, overwrite_b=True)
+    white = solved.astype(np.float32, copy=False)
     return white[:, : random.size + 1], white[:, random.size + 1 :]
 
 

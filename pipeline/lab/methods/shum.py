@@ -17,19 +17,8 @@ class LeastEnergy(LocalPCA):
     ``LocalPCA`` instead keeps reliable joints where they are, and relies on the
     measurement where the database has no similar posture.
 
-    Args:
-        database: Natural postures.
-        neighbors: K, postures that span the natural posture space (table V).
-        dimensions: Maximum number of dimensions of that space.
-        search: How the posture of least energy is found.
-        steps: Maximum number of steps of the stochastic search.
-        samples: Samples per step.
-        memory: Weight of the last posture in the query; the paper has no such term.
-        control: Weight of the measured joints (section VI.E).
-        style: Weight of the nearest neighbor.
-        kinematics: Weight of the standard body's segment lengths.
-        continuity: Weight of steady movement.
-        seed: Seed of the stochastic search.
+    The keywords are those of ``LocalPCA``, with the paper's values (table V, section
+    VI.E); it has no weight of the last posture in the query (``memory``).
     """
 
     def __init__(
