@@ -53,13 +53,13 @@ class BoneWalk:
         directions = bones / np.where(valid, lengths[..., None], 1.0)
         return np.where(valid, directions, self._rest), lengths
 
-    def lay(self, directions: Array, lengths: Array) -> Array:
+    def posture(self, directions: Array, lengths: Array) -> Array:
         """Return the posture [m] with these bones, root at the origin, (..., J, 3)."""
         return np.asarray(self._chain @ (directions * lengths[..., None]))
 
     def standardized(self, postures: Array) -> Array:
         """Return postures (..., J, 3) with standard bones, root at the origin."""
-        return self.lay(self.measure(postures)[0], self.lengths)
+        return self.posture(self.measure(postures)[0], self.lengths)
 
 
 class ClusteredGP(Learner):
@@ -162,7 +162,7 @@ class ClusteredGP(Learner):
         missing = np.isnan(observation.positions[:, 0])
         posture = self._hold.step(observation).positions
         directions = self._walk.measure(posture)[0]
-        standard = self._walk.lay(directions, self._walk.lengths)
+        standard = self._walk.posture(directions, self._walk.lengths)
         predicted, coverage = self._predict(standard)
         if self.predicts == "offsets":
             predicted = standard[self.joints_] + predicted
@@ -172,7 +172,7 @@ class ClusteredGP(Learner):
         directions = np.where(own, self._walk.measure(standard)[0], directions)
         # Section 2.2 restores the person's own lengths. The caller does that with the
         # lengths that Kinect measures; these turn them into mocap's.
-        corrected = self._walk.lay(directions, self._lengths(observation.lengths))
+        corrected = self._walk.posture(directions, self._lengths(observation.lengths))
         corrected += posture[self.skeleton.root]
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(corrected, None, confidence, coverage)

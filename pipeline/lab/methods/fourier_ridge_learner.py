@@ -16,9 +16,9 @@ from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.progress import Progress, silent
 
 from .lessons import Learner, TrainingSet
-from .ridge import Person, own_weights, people_of, ridge_weights
+from .ridge import Person, own_weights, people_in, ridge_weights
 
-# Weight and maximum number of a person's frames, as in ``people_of``, for recorded and
+# Weight and maximum number of a person's frames, as in ``people_in``, for recorded and
 # simulated people, and numbers of centers of the training postures. Chosen by leaving
 # one of six people out, and one of their movements.
 _WEIGHT, _MOST = 15000.0, 2500
@@ -69,7 +69,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
                 f"{training.source}: pairs of {training.skeleton.name}, but the model "
                 f"is for {self.skeleton.name}"
             )
-        recorded = list(people_of(training, _WEIGHT, _MOST))
+        recorded = list(people_in(training, _WEIGHT, _MOST))
         if sum(len(person.features) for person in recorded) < 200:
             raise InputError(
                 f"{training.source}: {len(training)} frames are too few to train on; "
@@ -78,12 +78,12 @@ class FourierRidgeLearner(FourierRidge, Learner):
         others, aside = list[Person](), list[Person]()
         self.far_centers_ = np.empty((0, recorded[0].features.shape[1]), np.float32)
         if simulated is not None:
-            others += people_of(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST)
+            others += people_in(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST)
         if views is not None:
-            aside += people_of(views, _VIEW_WEIGHT, _VIEW_MOST)
+            aside += people_in(views, _VIEW_WEIGHT, _VIEW_MOST)
             centers = _centers_of(_features_of(aside), _VIEW_CENTERS)
             self.far_centers_ = _half_precision(centers)
-            for person in people_of(training, _FACING_WEIGHT, _FACING_MOST):
+            for person in people_in(training, _FACING_WEIGHT, _FACING_MOST):
                 aside.append(replace(person, offsets=np.zeros_like(person.offsets)))
         means = [person.features.mean(axis=0) for person in recorded]
         self.mean_ = np.mean(means, axis=0).astype(np.float16).astype(np.float32)

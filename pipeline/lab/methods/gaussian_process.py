@@ -69,7 +69,7 @@ class Kernel:
         values = np.concatenate([self.variances, self.scales.ravel(), single])
         return np.asarray(np.log(values))
 
-    def moved_to(self, logarithms: Array) -> Self:
+    def with_logarithms(self, logarithms: Array) -> Self:
         """Return a kernel of the same form with these ``logarithms``."""
         count = len(self.variances)
         values = np.exp(logarithms)
@@ -120,7 +120,7 @@ def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
     """
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        kernel = start.moved_to(logarithms)
+        kernel = start.with_logarithms(logarithms)
         value, gradient = log_marginal_likelihood(kernel, samples, targets)
         return -value / targets.size, -gradient / targets.size
 
@@ -135,7 +135,7 @@ def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
         bounds=list(zip(low, np.maximum(low, high), strict=True)),
         options={"maxiter": _STEPS},
     )
-    return start.moved_to(np.asarray(found.x))
+    return start.with_logarithms(np.asarray(found.x))
 
 
 def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:

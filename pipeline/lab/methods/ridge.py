@@ -39,7 +39,7 @@ class Person:
     """Variance of the noise in a frame."""
 
 
-def people_of(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
+def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
     """Yield all recorded people, each followed by their mirror image.
 
     Args:
