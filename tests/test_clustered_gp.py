@@ -45,12 +45,12 @@ def _step(model: ClusteredGP, posture: Array) -> Correction:
 def test_bones_come_back_from_standard_lengths() -> None:
     walk, postures = BoneWalk(KINECT_V1), postures_of(10, seed=1)
     directions, lengths = walk.measure(postures)
-    standard = walk.lay(directions, walk.lengths)
+    standard = walk.posture(directions, walk.lengths)
     np.testing.assert_allclose(
         walk.measure(standard)[1], np.tile(walk.lengths, (10, 1)), atol=1e-12
     )
     assert np.abs(lengths - walk.lengths).max() > 0.02
-    again = walk.lay(walk.measure(standard)[0], lengths)
+    again = walk.posture(walk.measure(standard)[0], lengths)
     np.testing.assert_allclose(again, postures, atol=1e-12)
 
 

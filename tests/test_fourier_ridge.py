@@ -27,7 +27,7 @@ from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.methods.lessons import TrainingSet
-from kinefilter.pipeline.lab.methods.ridge import people_of
+from kinefilter.pipeline.lab.methods.ridge import people_in
 from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.models import Model, save_model
 from kinefilter.pipeline.pairs import read_pairs
@@ -92,7 +92,7 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
     model: FourierRidge,
 ) -> None:
     """The dual: a Gaussian process on all frames, of all people and mirror images."""
-    people = list(people_of(_lessons(), learner._WEIGHT, learner._MOST))
+    people = list(people_in(_lessons(), learner._WEIGHT, learner._MOST))
     assert len(people) == 6
     count = len(model.weights_) - len(model.mean_)
     arm, first = model._described.parts[0], 3 * len(model._described.parts[0].joints)

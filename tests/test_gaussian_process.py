@@ -38,7 +38,7 @@ def test_the_likelihood_gradient_is_that_of_finite_differences(kernel: Kernel) -
     x, y = _data(25)
 
     def value(logarithms: Array) -> float:
-        return log_marginal_likelihood(kernel.moved_to(logarithms), x, y)[0]
+        return log_marginal_likelihood(kernel.with_logarithms(logarithms), x, y)[0]
 
     gradient = log_marginal_likelihood(kernel, x, y)[1]
     numeric = approx_fprime(kernel.logarithms(), value, 1e-6)
@@ -71,7 +71,7 @@ def test_fitting_finds_a_stationary_point_of_the_likelihood(kernel: Kernel) -> N
 
 def test_a_kernel_comes_back_from_its_logarithms() -> None:
     for kernel in (LIU, CHIANG):
-        again = kernel.moved_to(kernel.logarithms())
+        again = kernel.with_logarithms(kernel.logarithms())
         np.testing.assert_allclose(again.scales, kernel.scales)
         np.testing.assert_allclose(again.variances, kernel.variances)
         assert again.bias == pytest.approx(kernel.bias)

@@ -17,7 +17,7 @@ from kinefilter.pipeline.lab import spool
 from kinefilter.pipeline.lab.database_build import database_from_pairs
 from kinefilter.pipeline.lab.methods import lessons as module
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
-from kinefilter.pipeline.lab.methods.lessons import Lessons, TrainingSet
+from kinefilter.pipeline.lab.methods.lessons import TrainingFrames, TrainingSet
 from kinefilter.pipeline.lab.simulate import simulate, write_pairs
 from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.lab.training import training_set
@@ -67,10 +67,12 @@ def test_lessons_are_the_same_from_a_disk_in_blocks_and_in_memory(
     pairs: list[PairedTake], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lessons = training_set(iter(pairs))
-    whole = Lessons.drawn(in_memory(lessons), KINECT_V1, 200, 0, above=0.1)
+    whole = TrainingFrames.draw(
+        in_memory(lessons), KINECT_V1, 200, 0, least_reliability=0.1
+    )
     monkeypatch.setattr(module, "_BLOCK", 37)
-    parts = Lessons.drawn(lessons, KINECT_V1, 200, 0, above=0.1)
-    for name in ("postures", "offsets", "learned", "seen", "lengths"):
+    parts = TrainingFrames.draw(lessons, KINECT_V1, 200, 0, least_reliability=0.1)
+    for name in ("postures", "offsets", "joints", "measured", "lengths"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 

@@ -126,7 +126,7 @@ def test_the_mean_alone_is_left_without_the_other_terms(
     features = model._features(posture)
     mean, _ = model._models.predict(features * model.kernels.roots, model.blended)
     moved = corrected(model, posture[None])[0].positions - posture
-    expected = model._line(features) + mean
+    expected = model._trend(features) + mean
     np.testing.assert_allclose(moved[model.joints_], expected, atol=1e-12)
 
 

@@ -1,3 +1,1 @@
-"""Correction methods of the papers and of today, to compare with."""
-
-__all__: list[str] = []
+"""Correction methods of the papers and in common use today, for comparison."""

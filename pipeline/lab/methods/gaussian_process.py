@@ -1,4 +1,4 @@
-"""What the Gaussian-process methods share: kernel, likelihood, growth, budgeting.
+"""Kernel, likelihood, growth by a sample, and budgeting of Gaussian processes.
 
 Liu, Zhou, Leung & Shum 2016, "Kinect posture reconstruction based on a local mixture
 of Gaussian process models", IEEE TVCG 22(11); Chiang, Chen, Li, Wang & Fu 2017,
@@ -11,41 +11,40 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, qr_delete, solve_triangular
 from scipy.optimize import minimize
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 
 _STEPS = 40
-_REACH = np.log(1e3)  # how far a hyper-parameter may leave its first guess, in logs
+_REACH = np.log(1e3)  # largest change of a hyper-parameter's logarithm in fitting
 _LEAST_NOISE = 1e-6  # m^2: mocap is no better than a millimeter
 
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """Sum of Gaussians of the distance, a constant bias, and noise on the samples.
+    """A sum of Gaussians of the distance, a constant bias, and noise on the samples.
 
     Liu's eq. 5 has one Gaussian and a diagonal W, Chiang's eq. 3 two with one length
     scale each and no bias.
     """
 
     variances: Array
-    """Of each Gaussian [m^2], shape (R,)."""
+    """Variance of each Gaussian [m^2], shape (R,)."""
     scales: Array
-    """Inverse length scales [1/m], the roots of W, shape (R, F) or (R, 1)."""
+    """Inverse length scales [1/m], the square roots of W, shape (R, F) or (R, 1)."""
     bias: float
-    """Variance of the constant [m^2]; 0: there is none."""
+    """Variance of the constant [m^2]; 0 for none."""
     noise: float
     """Variance of the noise [m^2]."""
 
     @property
     def prior(self) -> float:
-        """Variance of a function value where nothing is known [m^2]."""
+        """Variance of a function value far from all samples [m^2]."""
         return float(self.variances.sum()) + self.bias
 
     def __call__(self, a: Array, b: Array) -> Array:
-        """Return the covariance [m^2] without noise of rows, shape (len(a), len(b))."""
+        """Return the covariance [m^2] of rows without noise, (len(a), len(b))."""
         return np.asarray(sum(self.gaussians(a, b)) + self.bias)
 
     def gaussians(self, a: Array, b: Array) -> list[Array]:
@@ -65,13 +64,13 @@ class Kernel:
         return matrix
 
     def logarithms(self) -> Array:
-        """Return the hyper-parameters' logarithms, without a bias of 0, shape (P,)."""
+        """Return the logarithms of all hyper-parameters but a zero bias, shape (P,)."""
         single = np.array([self.bias, self.noise])[int(self.bias == 0.0) :]
         values = np.concatenate([self.variances, self.scales.ravel(), single])
         return np.asarray(np.log(values))
 
-    def moved_to(self, logarithms: Array) -> Self:
-        """Return the kernel of the same form that has these ``logarithms``."""
+    def with_logarithms(self, logarithms: Array) -> Self:
+        """Return a kernel of the same form with these ``logarithms``."""
         count = len(self.variances)
         values = np.exp(logarithms)
         scales = values[count : count + self.scales.size].reshape(self.scales.shape)
@@ -84,8 +83,9 @@ def log_marginal_likelihood(
 ) -> tuple[float, Array]:
     """Return the log likelihood of targets and its gradient (Liu eq. 6, Chiang eq. 4).
 
-    Outputs share the kernel: their log likelihoods add up. The gradient is by
-    ``kernel.logarithms()``; inputs and outputs [m] have shapes (N, F) and (N, P).
+    The outputs share the kernel, so their log likelihoods add up. The gradient is with
+    respect to ``kernel.logarithms()``; samples and targets [m] have shapes (N, F) and
+    (N, P).
     """
     outputs = targets.shape[1]
     parts = kernel.gaussians(samples, samples)
@@ -97,13 +97,13 @@ def log_marginal_likelihood(
     value -= outputs * float(np.log(np.diag(factor)).sum())
     value -= 0.5 * outputs * len(samples) * float(np.log(2.0 * np.pi))
     inverse = cho_solve((factor, False), np.eye(len(samples)))
-    slope = 0.5 * (alpha @ alpha.T - outputs * inverse)  # by each element of K
+    slope = 0.5 * (alpha @ alpha.T - outputs * inverse)  # by the elements of K
     by_variance, by_scale = [], []
     for part, scale in zip(parts, kernel.scales, strict=True):
         weighted = slope * part
         by_variance.append(weighted.sum())
         scaled = samples * scale
-        # sum_ab weighted_ab (a - b)^2 for every feature, without (N, N, F) arrays.
+        # sum_ab weighted_ab (a - b)^2 per feature, without (N, N, F) arrays.
         spread = 2.0 * weighted.sum(axis=1) @ scaled**2
         spread -= 2.0 * np.sum(scaled * (weighted @ scaled), axis=0)
         by_scale.append(-spread if len(scale) > 1 else -spread.sum(keepdims=True))
@@ -113,14 +113,14 @@ def log_marginal_likelihood(
 
 
 def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
-    """Return the kernel of the greatest marginal likelihood near a first guess.
+    """Return the kernel of greatest marginal likelihood near a first guess.
 
-    No hyper-parameter ends over 1000 times off it. Inputs and outputs [m] have shapes
-    (N, F) and (N, P).
+    Hyper-parameters stay within a factor of 1000 of the guess. Samples and targets [m]
+    have shapes (N, F) and (N, P).
     """
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        kernel = start.moved_to(logarithms)
+        kernel = start.with_logarithms(logarithms)
         value, gradient = log_marginal_likelihood(kernel, samples, targets)
         return -value / targets.size, -gradient / targets.size
 
@@ -135,19 +135,21 @@ def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
         bounds=list(zip(low, np.maximum(low, high), strict=True)),
         options={"maxiter": _STEPS},
     )
-    return start.moved_to(np.asarray(found.x))
+    return start.with_logarithms(np.asarray(found.x))
 
 
 def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:
     """Return the upper Cholesky factor of K with one more sample (eq. 16), in O(S^2).
 
-    The factor is U with U' U = K (Liu eq. 14), shape (S, S); the covariance that of the
-    new sample with the others, shape (S,); its variance includes the noise.
+    Args:
+        factor: U with U' U = K (Liu eq. 14), shape (S, S).
+        covariance: Covariance of the new sample with the others, shape (S,).
+        variance: Its variance, noise included.
     """
     size = len(factor)
     grown = np.zeros((size + 1, size + 1))
     grown[:size, :size] = factor
-    # Eq. 17 prints U u = k; K = U' U asks for U' u = k.
+    # Eq. 17 prints U u = k, but K = U' U requires U' u = k.
     column = solve_triangular(factor, covariance, trans="T", check_finite=False)
     grown[:size, size] = column
     grown[size, size] = np.sqrt(variance - column @ column)
@@ -155,7 +157,7 @@ def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:
 
 
 def grow_inverse(inverse: Array, factor: Array) -> Array:
-    """Return the inverse (S, S) of K with one more sample, in O(S^2), by its factor."""
+    """Return the inverse of K with one more sample, from its factor, in O(S^2)."""
     size = len(inverse)
     lift = solve_triangular(factor[:size, :size], factor[:size, size])
     lift = np.append(-lift, 1.0) / factor[size, size]
@@ -164,23 +166,28 @@ def grow_inverse(inverse: Array, factor: Array) -> Array:
     return grown
 
 
-def without_sample(inverse: Array, factor: Array, k: int) -> tuple[Array, Array]:
-    """Return the inverse and the factor of K without a sample, in O(S^2)."""
+def shrink_factor(factor: Array, k: int) -> Array:
+    """Return the upper Cholesky factor of K without sample k, in O(S^2)."""
+    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
+    return np.asarray(triangle[:-1])
+
+
+def shrink_inverse(inverse: Array, k: int) -> Array:
+    """Return the inverse of K without sample k, in O(S^2)."""
     rest = np.delete(np.arange(len(inverse)), k)
     lost = inverse[rest, k]
     smaller = inverse[np.ix_(rest, rest)] - np.outer(lost, lost) / inverse[k, k]
-    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
-    return np.asarray(smaller), np.asarray(triangle[:-1])
+    return np.asarray(smaller)
 
 
 def divergences(inverse: Array, targets: Array, noise: float) -> Array:
-    """Return what each sample tells beyond the others (Liu eq. 1, 2), shape (N,).
+    """Return the information that each sample adds to the others (Liu eq. 1, 2), (N,).
 
-    The divergence of what it is predicted to be from itself and the others, from what
-    the others alone say: both follow from the inverse of K.
+    That is the KL divergence of the prediction at the sample by all samples from that
+    by the others alone; both follow from the inverse of K.
 
     Args:
-        inverse: Inverse of the noisy samples' covariance [1/m^2], shape (N, N).
+        inverse: Inverse covariance of the noisy samples [1/m^2], shape (N, N).
         targets: Their outputs [m], shape (N, P).
         noise: Variance of the noise [m^2].
     """
@@ -189,48 +196,42 @@ def divergences(inverse: Array, targets: Array, noise: float) -> Array:
 
 
 def divergence_of(alone: Array, alpha: Array, noise: float) -> Array:
-    """Return what samples tell beyond the others, shape (N,).
+    """Return the information that samples add to the others, shape (N,).
 
     Args:
-        alone: Variance of each by the others alone, noise included [m^2], shape (N,).
-        alpha: How far it is off what they say, over that variance, shape (N, P).
+        alone: Variance of the others' prediction of each, noise included [m^2], (N,).
+        alpha: Deviation from that prediction over that variance, shape (N, P).
         noise: Variance of the noise [m^2].
     """
     within = 2.0 * noise - noise**2 / alone
     apart = alpha * (alone - noise)[:, None]
     ratio = within / alone
-    # Per output: the outputs share their variances.
+    # The mean over the outputs, which share their variances.
     square = np.mean(apart * apart, axis=1) / alone
     return np.asarray(0.5 * (ratio - 1.0 - np.log(ratio) + square))
 
 
 def informative_samples(
     matrix: Array, targets: Array, noise: float, *, most: int, redundancy: float
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the samples that posture budgeting keeps, in ascending order.
 
-    The sample that its neighbors predict best is dropped, again and again, while there
-    are too many or its divergence (Liu eq. 1, 2) is under ``redundancy``. The inverse
-    of K loses a sample by a rank-one step.
+    It repeatedly drops the sample that the others predict best, while there are too
+    many samples or its divergence (Liu eq. 1, 2) is below ``redundancy``.
 
     Args:
         matrix: Covariance of the noisy samples [m^2], shape (N, N).
         targets: Their outputs [m], shape (N, P).
         noise: Variance of the noise [m^2].
-        most: Most samples kept.
-        redundancy: Divergence under which a sample is redundant; 0: none is.
+        most: Maximum number of samples kept.
+        redundancy: Divergence below which a sample is redundant; 0 for never.
     """
     kept = np.arange(len(matrix))
-    inverse = np.linalg.inv(matrix)
+    inverse = np.asarray(np.linalg.inv(matrix))
     while len(kept) > 1:
-        divergence = divergences(np.asarray(inverse), targets[kept], noise)
+        divergence = divergences(inverse, targets[kept], noise)
         least = int(np.argmin(divergence))
         if len(kept) <= most and divergence[least] >= redundancy:
             break
-        rest = np.delete(np.arange(len(kept)), least)
-        lost = inverse[rest, least]
-        inverse = inverse[np.ix_(rest, rest)] - (
-            np.outer(lost, lost) / inverse[least, least]
-        )
-        kept = kept[rest]
+        kept, inverse = np.delete(kept, least), shrink_inverse(inverse, least)
     return kept

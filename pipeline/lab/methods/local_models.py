@@ -1,6 +1,6 @@
-"""What tells a joint's offset: its features, its kernel, and its local processes.
+"""The features, kernels and local Gaussian processes that predict joint offsets.
 
-Liu, Zhou, Leung & Shum 2016: section 4.1 has the features, equations 5 to 17 the rest.
+Liu, Zhou, Leung & Shum 2016: features in section 4.1, the rest in equations 5 to 17.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.pipeline.progress import Progress, silent
 
 from .gaussian_process import (
@@ -23,29 +23,28 @@ from .gaussian_process import (
     fit_kernel,
     grow_factor,
     grow_inverse,
-    without_sample,
+    shrink_factor,
+    shrink_inverse,
 )
 
 Votes = Literal["similarity", "precision"]
-"""What local models are blended by."""
+"""Weights by which local models are blended: similarity (eq. 12), or similarity times
+precision."""
 
-_FOR_KERNEL = 400  # samples the hyper-parameters are learned from
-_SLOPE = 0.1  # of an offset by a joint's place, as far as one would guess (a guess)
-_SCATTER = 0.03  # m, of the offsets about the line (a guess)
+_FOR_KERNEL = 400  # samples that hyper-parameters are fitted to
+_SLOPE = 0.1  # prior deviation of the trend's slopes, offset per position (a guess)
+_SCATTER = 0.03  # m, deviation of the offsets from the trend (a guess)
 
 
 class JointFeatures:
-    """The place of a joint and of those that share a bone with it (Liu, section 4.1).
+    """Positions of a joint and of those that share a bone with it (Liu, section 4.1).
 
     Args:
-        skeleton: The joints.
         learned: Joints that have offsets, shape (M,).
-        seen: Joints the sensor measures: others tell nothing, shape (J,).
+        seen: Joints that the sensor measures; the others are left out, shape (J,).
     """
 
-    def __init__(
-        self, skeleton: Skeleton, learned: NDArray[np.intp], seen: NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, skeleton: Skeleton, learned: Indices, seen: Flags) -> None:
         groups = []
         for j in learned:
             near = (skeleton.parents[j], *skeleton.children[j])
@@ -57,7 +56,7 @@ class JointFeatures:
         self._mask = used.astype(float)
 
     def __call__(self, postures: Array) -> Array:
-        """Return the features [m] of postures (..., J, 3), 0 padded, (..., M, F)."""
+        """Return features [m] of postures (..., J, 3), zero-padded, (..., M, F)."""
         points = postures[..., self._joints, :]
         return np.asarray(points.reshape(*points.shape[:-2], -1) * self._mask)
 
@@ -65,10 +64,15 @@ class JointFeatures:
 def fit_kernels(
     features: Array, offsets: Array, sizes: list[int], progress: Progress = silent
 ) -> Array:
-    """Return every joint's kernel of the greatest likelihood (eq. 6), (M, 3 + F).
+    """Return every joint's kernel of greatest likelihood (eq. 6), (M, 3 + F).
 
-    Samples are in random order: the first of them are used. Features have shape
-    (N, M, F), offsets [m] (N, M, 3), and ``sizes`` tells each joint's features.
+    Samples must be in random order, since only the first ones are used.
+
+    Args:
+        features: Zero-padded features [m], shape (N, M, F).
+        offsets: Offsets [m], shape (N, M, 3).
+        sizes: Number of features of each joint.
+        progress: Wraps the loop over the joints, for a progress bar.
     """
     table = np.zeros((len(sizes), 3 + features.shape[2]))
     for m in progress("hyper-parameters", len(sizes)):
@@ -84,15 +88,15 @@ def fit_kernels(
 
 
 class JointKernels:
-    """Liu's kernel (eq. 5) of every joint.
+    """Liu's kernel (eq. 5) for every joint.
 
-    One set of hyper-parameters serves all local models of a joint: they are learned
-    from few samples each, and their similarities (eq. 10) have to compare.
+    All local models of a joint share their hyper-parameters: each has only a few
+    samples to learn from, and their similarities (eq. 10) have to be comparable.
 
     Args:
-        table: What ``fit_kernels`` returned: per joint theta0 and theta1, the variances
-            of the Gaussian part and the bias, and that of the noise [m^2], then the
-            roots of W [1/m], with which features have W = 1; shape (M, 3 + F).
+        table: Result of ``fit_kernels``. Per joint: theta0 and theta1, the variances of
+            the Gaussian part and of the bias, the variance of the noise [m^2], and the
+            square roots of W [1/m], by which features are scaled; shape (M, 3 + F).
     """
 
     def __init__(self, table: Array) -> None:
@@ -100,7 +104,7 @@ class JointKernels:
         self.roots = table[:, 3:]
 
     def of_joint(self, m: int) -> Kernel:
-        """Return the kernel of one joint, for its features times ``roots``."""
+        """Return the kernel of one joint, for features multiplied by ``roots``."""
         theta0, theta1, noise = (x[m] for x in (self.theta0, self.theta1, self.noise))
         return Kernel(np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise))
 
@@ -109,14 +113,14 @@ class JointKernels:
 class LinearTrend:
     """Offsets as a linear function of the features: the processes' mean function.
 
-    Local models know nothing of each other. What is the same everywhere, and a process
-    over all samples would carry from one end to the other, is in here.
+    It holds what is common to all samples, which a process over all of them would
+    learn, but independent local models cannot.
     """
 
     table: Array
     """Per joint the slopes, then the constant [m], shape (M, F + 1, 3)."""
     bounds: Array
-    """Least and greatest features of the samples [m], shape (2, M, F)."""
+    """Minimum and maximum of the samples' features [m], shape (2, M, F)."""
 
     @classmethod
     def fitted(cls, features: Array, offsets: Array) -> Self:
@@ -126,16 +130,15 @@ class LinearTrend:
         gram = np.einsum("nmf,nmg->mfg", x, x)
         gram += (_SCATTER / _SLOPE) ** 2 * np.eye(x.shape[2])
         slopes = np.linalg.solve(gram, np.einsum("nmf,nmc->mfc", x, y))
-        constant = offsets.mean(axis=0) - np.einsum(
-            "mf,mfc->mc", features.mean(axis=0), slopes
-        )
+        constant = offsets.mean(axis=0)
+        constant -= np.einsum("mf,mfc->mc", features.mean(axis=0), slopes)
         table = np.concatenate([slopes, constant[:, None]], axis=1)
         return cls(table, np.stack([features.min(axis=0), features.max(axis=0)]))
 
     def __call__(self, features: Array) -> Array:
-        """Return the offsets [m] of features (..., M, F), (..., M, 3).
+        """Return the offsets [m] at features (..., M, F), shape (..., M, 3).
 
-        Beyond the samples the line goes on level.
+        Beyond the bounds of the samples the trend is constant.
         """
         inside = np.clip(features, *self.bounds)
         line = np.einsum("...mf,mfc->...mc", inside, self.table[:, :-1])
@@ -145,17 +148,17 @@ class LinearTrend:
 class LocalModels:
     """The local processes of every joint, in padded arrays.
 
-    Features are times the roots of W. What pads has no weight: zeros in alpha and in
-    the inverse, centers at infinity.
+    Features are stored multiplied by the square roots of W. Padding has no effect:
+    zeros in alpha and in the inverse, centers at infinity.
 
     Args:
         kernels: The joints' kernels.
-        centers: Shape (M, Q, F) [m].
-        features: Of the samples, shape (M, Q, S, F) [m].
-        offsets: Of the samples, shape (M, Q, S, 3) [m].
-        counts: Samples that there are, shape (M, Q).
-        spare: Models a joint, and samples a model, that may be added.
-        redundancy: Divergence under which a sample is not worth adding.
+        centers: Centers of the models [m], shape (M, Q, F).
+        features: Features of the samples [m], shape (M, Q, S, F).
+        offsets: Offsets of the samples [m], shape (M, Q, S, 3).
+        counts: Number of samples of each model, shape (M, Q).
+        spare: Number of models per joint, and of samples per model, that may be added.
+        redundancy: Divergence below which a sample is not added.
     """
 
     def __init__(
@@ -172,7 +175,7 @@ class LocalModels:
         self._redundancy = redundancy
         self._kernels = [kernels.of_joint(m) for m in range(len(centers))]
         self._theta0, self._theta1 = kernels.theta0, kernels.theta1
-        self._unknown = kernels.theta0 + kernels.theta1 + kernels.noise
+        self._prior = kernels.theta0 + kernels.theta1 + kernels.noise
         self._used = np.full(len(centers), centers.shape[1])
         self.counts = np.pad(counts, ((0, 0), (0, spare)))
         roots = kernels.roots
@@ -191,7 +194,7 @@ class LocalModels:
             self._set(m, q, factor, cho_solve((factor, False), np.eye(n)))
 
     def _set(self, m: int, q: int, factor: Array, inverse: Array) -> None:
-        """Store a model's factor and inverse, and its prediction vector, in O(S^2)."""
+        """Store a model's factor, inverse and prediction vector alpha, in O(S^2)."""
         n = len(factor)
         self.counts[m, q] = n
         self.factors[m, q, :n, :n] = factor
@@ -204,9 +207,9 @@ class LocalModels:
         """Return the mixture's mean [m] and variance [m^2], noise included, (M, 3).
 
         Args:
-            x: Features times the roots of W, shape (M, F).
-            blended: Nearest models that are blended.
-            votes: What they are blended by.
+            x: Features multiplied by the square roots of W, shape (M, F).
+            blended: Number of nearest models that are blended.
+            votes: Weights by which they are blended.
         """
         joints, models = self.centers.shape[:2]
         blended = min(blended, models)
@@ -214,25 +217,25 @@ class LocalModels:
         squares = np.einsum("mqf,mqf->mq", apart, apart)
         near = np.argpartition(squares, blended - 1, axis=1)[:, :blended]
         squares = np.take_along_axis(squares, near, axis=1)
-        # Eq. 10; over the greatest, or far away all of them would be 0.
+        # Eq. 10, relative to the greatest: far away all of them would be 0.
         similarity = np.exp(-0.5 * (squares - squares.min(axis=1, keepdims=True)))
         picked = (near + models * np.arange(joints)[:, None]).ravel()
         rows = _taken(self._rows, picked)
         rows -= np.repeat(x, blended, axis=0)[:, None]
-        likeness = np.exp(-0.5 * np.einsum("psf,psf->ps", rows, rows))
-        likeness *= np.repeat(self._theta0, blended)[:, None]
-        likeness += np.repeat(self._theta1, blended)[:, None]
-        means = (likeness[:, None] @ _taken(self._alpha, picked))[:, 0]  # eq. 8
-        solved = (likeness[:, None] @ _taken(self._inverse, picked))[:, 0]
-        explained = np.sum(solved * likeness, axis=1).reshape(joints, blended)
-        variances = self._unknown[:, None] - explained  # eq. 9
-        # Eq. 12 by similarity alone lets models vote, with an offset near 0, that
-        # hold no sample on this side of their center: precision tells.
+        covariance = np.exp(-0.5 * np.einsum("psf,psf->ps", rows, rows))
+        covariance *= np.repeat(self._theta0, blended)[:, None]
+        covariance += np.repeat(self._theta1, blended)[:, None]
+        means = (covariance[:, None] @ _taken(self._alpha, picked))[:, 0]  # eq. 8
+        solved = (covariance[:, None] @ _taken(self._inverse, picked))[:, 0]
+        explained = np.sum(solved * covariance, axis=1).reshape(joints, blended)
+        variances = self._prior[:, None] - explained  # eq. 9
+        # By similarity alone (eq. 12), models without a sample on this side of their
+        # center would pull the offset toward 0; their precision is low.
         weights = similarity / (variances if votes == "precision" else 1.0)
         weights /= weights.sum(axis=1, keepdims=True)
         means = means.reshape(joints, blended, 3)
         mean = np.einsum("ml,mlc->mc", weights, means)  # eq. 13
-        # Eq. 13 says no more; a mixture's variance has the means' spread in it.
+        # Eq. 13 gives only the mean; the variance includes the spread of the means.
         spread = np.einsum("ml,mlc->mc", weights, (means - mean[:, None]) ** 2)
         within = np.sum(weights * variances, axis=1)
         return mean, within[:, None] + spread
@@ -240,15 +243,15 @@ class LocalModels:
     def learn(self, m: int, x: Array, offset: Array, reach: float) -> None:
         """Add a sample to the nearest model, or as a new one (Liu, algorithm 2).
 
-        One that the others predict is left out (posture budgeting, section 3.2). Where
-        a model is full, the one that the others predict best makes way.
+        A sample that the others predict is left out (posture budgeting, section 3.2).
+        If the model is full, the sample that the others predict best is dropped.
 
         Args:
             m: The joint.
-            x: Features times the roots of W, shape (F,).
-            offset: Shape (3,) [m].
-            reach: Distance from every center, in units of the kernel, over which a
-                new model begins: the similarity of eq. 10 is too small.
+            x: Features multiplied by the square roots of W, shape (F,).
+            offset: The sample's offset [m], shape (3,).
+            reach: Distance from all centers, in units of the kernel, beyond which the
+                similarity of eq. 10 is too small and a new model begins.
         """
         kernel = self._kernels[m]
         distances = np.linalg.norm(self.centers[m] - x, axis=1)
@@ -263,12 +266,11 @@ class LocalModels:
         solved = self._inverse[m, q, :n, :n] @ covariance
         alone = kernel.prior + kernel.noise - float(solved @ covariance)
         apart = (offset - covariance @ self._alpha[m, q, :n]) / alone
-        news = divergence_of(np.array([alone]), apart[None], kernel.noise)
-        if n and news[0] < self._redundancy:
+        gain = divergence_of(np.array([alone]), apart[None], kernel.noise)
+        if n and gain[0] < self._redundancy:
             return
-        factor = grow_factor(
-            self.factors[m, q, :n, :n], covariance, kernel.prior + kernel.noise
-        )
+        variance = kernel.prior + kernel.noise
+        factor = grow_factor(self.factors[m, q, :n, :n], covariance, variance)
         inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
@@ -277,15 +279,16 @@ class LocalModels:
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
-            inverse, factor = without_sample(inverse, factor, least)
+            inverse = shrink_inverse(inverse, least)
+            factor = shrink_factor(factor, least)
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n
         self._set(m, q, factor, inverse)
 
 
-def _taken(array: Array, picked: NDArray[np.intp]) -> Array:
-    """Return the models ``picked`` of an array (M, Q, ...), counted through."""
-    # mode: the default checks every index through a buffer, at twice the time.
+def _taken(array: Array, picked: Indices) -> Array:
+    """Return models of an array (M, Q, ...) by their flat indices."""
+    # The default mode checks every index through a buffer, which takes twice as long.
     flat = array.reshape(-1, *array.shape[2:])
     return np.take(flat, picked, axis=0, mode="clip")

@@ -1,4 +1,4 @@
-"""Shum 2013 as printed, and the methods A and B that it is compared with."""
+"""Shum 2013 as printed, and methods A and B, which the paper compares it with."""
 
 from __future__ import annotations
 
@@ -11,25 +11,14 @@ from kinefilter.pipeline.database import PostureDatabase
 
 
 class LeastEnergy(LocalPCA):
-    """The posture of least energy in the natural posture space, and nothing else.
+    """Replaces the posture by the one of least energy in the natural posture space.
 
-    Shum, Ho, Jiang & Takagi 2013: what the space holds takes the place of every joint,
-    reliable or not. ``LocalPCA`` keeps reliable joints where they are, and leans on the
-    measurement where the database knows no such posture.
+    Shum, Ho, Jiang & Takagi 2013: every joint is replaced, reliable or not.
+    ``LocalPCA`` instead keeps reliable joints where they are, and relies on the
+    measurement where the database has no similar posture.
 
-    Args:
-        database: Natural postures.
-        neighbors: K, postures that span the natural posture space (table V).
-        dimensions: Most dimensions of that space.
-        search: How the posture of least energy is found.
-        steps: Most steps of the stochastic search.
-        samples: Samples in each of them.
-        memory: Weight of the last posture in the query, of which the paper has none.
-        control: Weight of the measured joints (section VI.E).
-        style: Weight of the nearest neighbor.
-        kinematics: Weight of the standard body's segment lengths.
-        continuity: Weight of steady movement.
-        seed: Seed of the stochastic search.
+    The keywords are those of ``LocalPCA``, with the paper's values (table V, section
+    VI.E); it has no weight of the last posture in the query (``memory``).
     """
 
     def __init__(
@@ -68,36 +57,32 @@ class LeastEnergy(LocalPCA):
         weights = self._weights(observation)
         posture, nearest = self.synthesize(observation.positions, weights)
         rotations = self.orientation(posture, nearest, weights)
-        nothing = 0.0 * weights
-        return Correction(posture, rotations, nothing, float("nan"))
+        return Correction(posture, rotations, 0.0 * weights, float("nan"))
 
     def _weights(self, observation: Observation) -> Array:
-        """Return what each joint counts, 0 where it is missing, shape (J,)."""
-        return observation.reliability * present(observation)
+        """Return each joint's weight, 0 where it is missing, shape (J,)."""
+        return observation.reliability * _present(observation)
 
 
 class NoReliability(LeastEnergy):
-    """Shum's method B: all tracked parts trusted alike; see ``LeastEnergy``."""
+    """Shum's method B: ``LeastEnergy`` with every measured joint trusted equally."""
 
     def _weights(self, observation: Observation) -> Array:
-        return present(observation)
+        return _present(observation)
 
 
 class Nearest(Corrector):
-    """Shum's method A (Shum & Ho 2012): the posture most like what was tracked.
+    """Returns the posture of the database that is most similar to the measurement.
 
-    Shum 2013, section VIII.B, compares with it.
-
-    Args:
-        database: Natural postures.
+    Method A (Shum & Ho 2012) in Shum 2013, section VIII.B.
     """
 
     def __init__(self, database: PostureDatabase) -> None:
         self.database = database
 
     def step(self, observation: Observation) -> Correction:
-        """Look up the next frame; no frame depends on those before it."""
-        weights = present(observation)
+        """Look up the next frame, independently of earlier ones."""
+        weights = _present(observation)
         (k,) = self.database.neighbors(observation.positions, weights, 1)[0]
         return Correction(
             self.database.positions[k].astype(float),
@@ -107,6 +92,6 @@ class Nearest(Corrector):
         )
 
 
-def present(observation: Observation) -> Array:
+def _present(observation: Observation) -> Array:
     """Return 1 for each joint that was measured, otherwise 0, shape (J,)."""
     return np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)

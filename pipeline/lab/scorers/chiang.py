@@ -1,6 +1,6 @@
-"""Reliability by Chiang 2017, section 4.2.
+"""Reliability after Chiang 2017, section 4.2.
 
-Besides Shum's segment lengths it tests for errors of a single frame.
+It combines Shum's segment lengths with a test for errors that last a single frame.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 
 class ChiangReliabilityScorer(ReliabilityScorer):
-    """Scores one frame after the other; a whole take gives the same scores.
+    """Scores frame by frame; a whole take gets the same scores.
 
-    An inferred joint is as reliable as its segments and its movement; only a joint that
-    is not tracked scores 0 by its state. Term.BEHAVIOR stands for the temporal term,
-    whose threshold is per frame, for 30 Hz.
+    An inferred joint is as reliable as its segments and its motion are plausible; only
+    a joint that is not tracked scores 0 for its state. Term.BEHAVIOR stands for the
+    temporal term, whose threshold is per frame, at 30 Hz.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
-        largest_displacement: T [m]: who moved no farther made no error (eq. 10).
-        steepness: Reliability lost per T beyond T: none is left at 1.25 T (eq. 10).
-        now: Weight of the frame itself; the frame before has the rest (eq. 12).
+        largest_displacement: T [m]: joints that move less are not in error (eq. 10).
+        steepness: Reliability lost per T beyond T; by default 0 is reached at 1.25 T
+            (eq. 10).
+        now: Weight of the current frame; the previous frame has the rest (eq. 12).
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         super().__init__(skeleton, reference)
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         super().start()
         self._past: list[Array] = []
         self._previous: Array | None = None
@@ -49,7 +49,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         self,
         positions: Array,
         state: Codes,
-        time: float | None = None,  # noqa: ARG002 - made for 30 Hz
+        time: float | None = None,  # noqa: ARG002 - the terms are for 30 Hz
     ) -> tuple[Array, Codes, Array]:
         """Score the next frame; see ``ReliabilityScorer.step``."""
         temporal = self._temporal(positions)
@@ -60,16 +60,15 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         scores = np.stack([terms.min(axis=0), np.minimum(temporal, kinematics)])
         before = scores if self._previous is None else self._previous
         self._previous = scores
-        reliability, geometry = (
-            self._now * scores + (1.0 - self._now) * before
-        )  # eq. 12
-        return reliability, term, geometry
+        mean = self._now * scores + (1.0 - self._now) * before  # eq. 12
+        return mean[0], term, mean[1]
 
     def _temporal(self, positions: Array) -> Array:
-        """Return the term for jumps away from both frames before (eq. 8-10).
+        """Return the term for jumps away from both previous frames (eq. 8-10).
 
-        Eq. 10 prints (1 - 4 (d2 - T)) / T, which exceeds 1. Where a position is missing
-        or there are no two frames yet, there is no displacement and the term is 1.
+        Eq. 10 prints (1 - 4 (d2 - T)) / T, which exceeds 1; here it is 1 - 4 (d2 - T) /
+        T, at least 0. Where a position is missing, and in the first two frames, there
+        is no displacement and the term is 1.
         """
         term = np.ones(len(positions))
         if len(self._past) == 2:

@@ -1,9 +1,9 @@
-"""Reliability as learned from simulated people.
+"""Reliability learned from simulated people.
 
-Where in the body a Kinect puts a joint depends on the posture: a raised elbow is always
-seen elsewhere than a hanging one, without noise and with the right segment lengths. A
-logistic regression for each kind of joint tells from posture, noise, length errors and
-lost tracking how likely a joint is far off.
+A Kinect's errors depend on the posture: a raised elbow is always misplaced in a way
+that a hanging one is not, without noise and with correct segment lengths. A logistic
+regression for each kind of joint predicts from posture, noise, length errors and lost
+tracking how likely the joint is to be far off.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, Term
 from kinefilter.characters.arrays import Array, Codes
-from kinefilter.characters.rotations import unit
+from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -30,57 +30,58 @@ from kinefilter.retarget import measured_body
 from .noise import MEMORY, NoiseReliabilityScorer
 
 FAR_OFF = 0.10
-"""Distance from the truth [m] over which a joint is far off, relative to the hips."""
-_EVERY = 4  # one frame in this many is learned from; its neighbors add little
+"""Error [m] relative to the hips above which a joint is far off."""
+_EVERY = 4  # every fourth frame is used in training; those between add little
 _PENALTY = 1.0  # inverse strength of the penalty on large weights
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])
-"""Added before the logarithm to noise [m], speed [m/s] and length errors [m]: below,
-differences mean nothing. Guesses."""
-_DIRECTIONS = 9  # numbers that say where a joint is, and its segments' directions
+"""Added to noise [m], speed [m/s] and length errors [m] before the logarithm, since
+differences below these values mean nothing. Guesses."""
+_DIRECTIONS = 9  # numbers for a joint's position and its segments' directions
 _FIRST, _SECOND = np.triu_indices(_DIRECTIONS)
 
 TERMS = np.array(
     [Term.BEHAVIOR, Term.BEHAVIOR, Term.KINEMATICS, Term.TRACKING_STATE]
     + [Term.POSTURE] * (_DIRECTIONS + len(_FIRST))
 )
-"""The reliability term to which each clue belongs, shape (C,): noise, speed, length
-errors, the share of recent frames in which it was not tracked, and posture."""
-_STARTS = np.flatnonzero(np.diff(TERMS, prepend=-1))  # of each term's clues
+"""The reliability term that each clue belongs to, shape (C,). The clues are noise,
+speed, length errors, the share of recent frames in which the joint was not tracked, and
+posture."""
+_STARTS = np.flatnonzero(np.diff(TERMS, prepend=-1))  # first clue of each term
 _STATE = int(_STARTS[Term.TRACKING_STATE])
 _ARRAYS = ("usual", "weights", "intercepts")
 
 
 @dataclass(frozen=True, eq=False)
 class ClueWeights:
-    """The log odds that a joint is far off, as a sum over clues."""
+    """Weights of the log odds that a joint is far off, a sum over clues."""
 
     skeleton: Skeleton
     """The joints, in the order of the arrays."""
     usual: Array
-    """Mean of each clue in training, which it is compared with, shape (J, C)."""
+    """Mean of each clue in training, shape (J, C)."""
     weights: Array
-    """Log odds for each unit of the clue, shape (J, C)."""
+    """Log odds per unit of the clue's difference from its mean, shape (J, C)."""
     intercepts: Array
-    """Log odds where every clue is as usual, shape (J,)."""
+    """Log odds with every clue at its mean, shape (J,)."""
 
     @classmethod
     def even_odds(cls, skeleton: Skeleton) -> Self:
-        """Return weights without any training: every joint has even odds."""
+        """Return untrained weights, which give every joint even odds."""
         zeros = np.zeros((len(skeleton), len(TERMS)))
         return cls(skeleton, zeros, zeros.copy(), zeros[:, 0].copy())
 
     def save(self, path: Path) -> None:
-        """Write as npz, one row for each kind of joint."""
+        """Write the weights as npz, with one row for each kind of joint."""
         kinds, first = np.unique(_kinds(self.skeleton), return_index=True)
         arrays = {key: getattr(self, key)[first].astype(np.float32) for key in _ARRAYS}
         write_arrays(path, {"kinds": kinds, **arrays})
 
     @classmethod
     def load(cls, path: Path, skeleton: Skeleton) -> Self:
-        """Read what ``save`` wrote.
+        """Read weights that ``save`` wrote.
 
         Raises:
-            InputError: The file is missing, damaged, or of another skeleton.
+            InputError: The file is missing, damaged, or for another skeleton.
         """
         try:
             file = read_arrays(path)
@@ -95,23 +96,22 @@ class ClueWeights:
 
 
 def _kinds(skeleton: Skeleton) -> list[str]:
-    """Return the joints' names without their side: both sides are of one kind."""
+    """Return the joints' names without their side."""
     return [j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints]
 
 
 class LearnedReliabilityScorer(NoiseReliabilityScorer):
-    """Scores one frame after the other; a whole take gives the same scores.
+    """Scores frame by frame; a whole take gets the same scores.
 
     Reliability is the probability that a joint is less than 10 cm off, its constant
-    offset included. A posture that the sensor misjudges lowers it as long as it lasts;
-    that of a missing joint is 0. The deciding term is the one whose clues count most
-    against the joint; Term.BEHAVIOR stands for noise and speed. The geometry is the
-    reliability of a joint that was always tracked.
+    offset included, so it stays low for as long as a posture lasts that the sensor
+    misjudges. It is 0 for a missing joint. The deciding term is the one whose clues
+    raise the odds of an error most; Term.BEHAVIOR stands for noise and speed. The
+    geometry is the reliability that the joint would have if it were always tracked.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
-        weights: What the clues mean; by default those of the embedded file.
+        weights: Weights of the clues; by default those of the embedded file.
     """
 
     def __init__(
@@ -129,12 +129,12 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         after = [next(iter(skeleton.children[j]), j) for j in own]
         self._ends, self._starts = np.array([own, after]), np.array([before, own])
         right = [joint.endswith("Right") for joint in skeleton.joints]
-        self._mirrored = np.ones((len(skeleton), 3))
-        self._mirrored[right, 0] = -1.0  # left and right share their weights
+        self._signs = np.ones((len(skeleton), 3))
+        self._signs[right, 0] = -1.0  # left and right share their weights
         super().__init__(skeleton, reference)
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         super().start()
         self._root = np.zeros(3)
         self._posture = self._rest
@@ -159,10 +159,11 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         return reliability, term, geometry
 
     def clues(self, positions: Array, state: Codes, time: float | None = None) -> Array:
-        """Return what counts for or against each joint of the next frame, (J, C).
+        """Return the clues for each joint of the next frame, shape (J, C).
 
-        Logarithms of noise, speed and length errors, the share of lost frames, then the
-        posture around the joint and its products. For arguments see ``step``.
+        These are the logarithms of noise, speed and length errors, the share of frames
+        not tracked, then the posture around the joint and its products. For the
+        arguments see ``step``.
         """
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)
@@ -176,9 +177,9 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         left, right = self.skeleton.hips
         relative = self._posture - 0.5 * (self._posture[left] + self._posture[right])
         if self._relative is not None:
-            away = relative - self._relative
-            way = np.sqrt(np.einsum("jc,jc->j", away, away))
-            self._speed += share * (way / max(elapsed, 1e-3) - self._speed)
+            moved = relative - self._relative
+            distance = np.sqrt(np.einsum("jc,jc->j", moved, moved))
+            self._speed += share * (distance / max(elapsed, 1e-3) - self._speed)
         self._relative = relative
         errors = np.sqrt(np.maximum([noise, self._speed**2, lengths], 0.0))
         posture = self._around(relative)
@@ -187,19 +188,20 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         return np.hstack([logarithms, self._lost[:, None], posture, products])
 
     def _around(self, posture: Array) -> Array:
-        """Return where a joint and its two segments are, in the trunk's frame, (J, 9).
+        """Return joints' positions and segment directions in the trunk frame, (J, 9).
 
-        Position [m] from the middle of the hips, for standard height; directions of the
-        segment to the joint and of the first from it. Joints on the right are mirrored.
+        The position [m] is relative to the hips' midpoint, at standard height; the
+        segments are the one that ends at the joint and the first that starts there.
+        Joints on the right are mirrored.
         """
         left, right = self.skeleton.hips
         across = posture[left] - posture[right]
         spine = posture[self.skeleton.girdle] - posture[self.skeleton.root]
-        ahead = _cross(across, spine)
-        frame = unit(np.array([across, _cross(ahead, across), ahead]))
+        ahead = cross(across, spine)
+        frame = unit(np.array([across, cross(ahead, across), ahead]))
         directions = unit(posture[self._ends] - posture[self._starts])
         parts = np.concatenate([self._scale * posture[None], directions])
-        turned = (parts @ frame.T) * self._mirrored
+        turned = (parts @ frame.T) * self._signs
         return turned.transpose(1, 0, 2).reshape(len(posture), _DIRECTIONS)
 
 
@@ -213,15 +215,15 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
 def learned_weights(
     pairs: Sequence[PairedTake], *, progress: Progress = silent
 ) -> ClueWeights:
-    """Return weights learned from pairs of one skeleton.
+    """Return weights trained on pairs of one skeleton.
 
     Args:
-        pairs: Takes and their truth.
+        pairs: Takes with ground truth.
         progress: Wraps the loop over the takes, for a progress bar.
     """
     from sklearn.linear_model import LogisticRegression
 
-    parts = [_clues_and_errors(pair) for pair in over(pairs, "look", progress)]
+    parts = [_clues_and_errors(pair) for pair in over(pairs, "clues", progress)]
     clues, far = map(np.concatenate, zip(*parts, strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
     kinds = np.array(_kinds(learned.skeleton))
@@ -229,7 +231,7 @@ def learned_weights(
         joints = np.flatnonzero(kinds == kind)
         known = ~np.isnan(far[:, joints])
         inputs, wrong = clues[:, joints][known], far[:, joints][known]
-        # Laplace's rule: the odds are even where nothing is known.
+        # Laplace's rule: even odds without any data.
         odds = (wrong.sum() + 1.0) / ((1.0 - wrong).sum() + 1.0)
         learned.intercepts[joints] = np.log(odds)
         if not 0.0 < wrong.sum() < len(wrong):
@@ -244,20 +246,14 @@ def learned_weights(
 
 
 def _clues_and_errors(pair: PairedTake) -> tuple[Array, Array]:
-    """Return clues (T, J, C) and whether joints are far off (T, J), NaN unknown."""
+    """Return clues (T, J, C), and 1 for joints far off, NaN if unknown, (T, J)."""
     take, skeleton = pair.take, pair.take.skeleton
     untrained = ClueWeights.even_odds(skeleton)
     scorer = LearnedReliabilityScorer(skeleton, measure_reference(take), untrained)
     frames = zip(take.positions, take.state, take.time, strict=True)
     clues = [scorer.clues(p, state, float(time)) for p, state, time in frames]
-    away = take.positions - pair.truth
-    away = away - away[:, skeleton.hips].mean(axis=1, keepdims=True)
-    distance = np.linalg.norm(away, axis=2)
+    errors = take.positions - pair.truth
+    errors = errors - errors[:, skeleton.hips].mean(axis=1, keepdims=True)
+    distance = np.linalg.norm(errors, axis=2)
     far = np.where(np.isnan(distance), np.nan, distance > FAR_OFF)
     return np.array(clues[::_EVERY]), far[::_EVERY]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of two vectors; numpy's takes as long as all else."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

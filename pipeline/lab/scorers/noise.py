@@ -1,9 +1,9 @@
-"""Reliability by noise and segment lengths.
+"""Reliability from noise and segment lengths.
 
-Where a Kinect has to guess a joint, it guesses anew in every frame, and segments change
-their lengths. People do not move like that: over five frames, a joint's path is close
-to a cubic, however fast. What remains without the cubic is the sensor's noise. Noise
-and length errors together tell how far off a joint may be.
+Where a Kinect has to guess a joint, the guess changes from frame to frame, and segments
+change their lengths. People do not move like that: over five frames, a joint's path is
+close to a cubic, however fast it is. What remains after subtracting the cubic is the
+sensor's noise. Noise and length errors together give an estimate of a joint's error.
 """
 
 from __future__ import annotations
@@ -15,51 +15,49 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 FRAME_TIME = 1.0 / 30.0
-"""Time [s] between a Kinect's frames, where no time stamps are given."""
+"""Time [s] between frames without time stamps: a Kinect's."""
 SAMPLES = 5
-"""Positions that a cubic is taken out of: one more than it can pass through."""
+"""Positions that a cubic is subtracted from: one more than it can pass through."""
 MEMORY = 0.2
-"""Time constant [s] of the averages of squared noise and squared length errors: as
-long as Shum's reliability looks back. On paired data 0.1 to 1 s do about as well."""
+"""Time constant [s] of the means of squared noise and squared length errors: as long as
+the window of Shum's reliability. On paired data 0.1 to 1 s do about as well."""
 RECOVERY = 0.1
-"""Time constant [s] in which a joint that is tracked again becomes reliable again: 0.85
+"""Time constant [s] in which a joint becomes reliable again once it is tracked: 0.85
 after 0.2 s, like Shum's reliability."""
-HONEST_SHARE = 0.1
-"""What a cubic leaves of a person's own movement, as a share of the distance covered
-from frame to frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching,
-sword play, dance) stay under it between 0.6 and 3 m/s."""
+MOTION_SHARE = 0.1
+"""Part of a person's own motion that a cubic does not explain, relative to the distance
+covered per frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching, sword
+play, dance) are below this between 0.6 and 3 m/s."""
 ERROR_PER_NOISE = 7.0
-"""How far off a joint is, relative to its noise along one axis: most of Kinect's errors
-change too slowly to be noise. Fitted on six people; 5 to 15 do about as well."""
+"""Error of a joint relative to its noise along one axis: most of Kinect's errors change
+too slowly to be noise. Fitted on six people; 5 to 15 do about as well."""
 DOUBTFUL_ERROR = 0.25
-"""Estimated error [m] at which reliability has fallen to 1/e. 0.85 is 10 cm and 0.6 is
+"""Estimated error [m] at which reliability falls to 1/e. It is 0.85 at 10 cm and 0.6 at
 18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
 LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR
-"""What one frame can add at most [m]: any jump is forgotten within a second."""
+"""Limit of a single frame's error [m], so that a jump has no effect after a second."""
 
 
 class NoiseReliabilityScorer(ReliabilityScorer):
-    """Scores one frame after the other; a whole take gives the same scores.
+    """Scores frame by frame; a whole take gets the same scores.
 
-    Noise is relative to the root's, and the root's own to the room. Reliability falls
-    with the error that noise and length errors suggest, as a Gaussian does. It is 0
-    while a joint is inferred or not tracked, and recovers gradually. The deciding term
-    is the one that lowered the reliability most; Term.BEHAVIOR stands for noise.
+    Noise is relative to the root, and the root's own to the room. Reliability is a
+    Gaussian of the error that noise and length errors suggest. It is 0 while a joint is
+    inferred or not tracked, and recovers gradually. The deciding term is the one that
+    lowers the reliability most; Term.BEHAVIOR stands for noise.
 
-    The geometry is the reliability of the lengths alone while a joint is tracked, since
-    a noisy measurement is still nearer than an invented one; otherwise noise counts,
-    too.
+    For a tracked joint the geometry ignores noise, since a noisy measurement is still
+    closer to the truth than a reconstructed position.
 
     Args:
-        skeleton: The joints.
         reference: The person's segment lengths.
     """
 
     def __init__(self, skeleton: Skeleton, reference: Reference) -> None:
-        super().__init__(skeleton, reference)  # of Shum's constants it has none
+        super().__init__(skeleton, reference)  # without the keywords of Shum's scorer
 
     def start(self) -> None:
-        """Forget all frames."""
+        """Reset the state for a new motion."""
         n = len(self.skeleton)
         self._paths = np.full((SAMPLES, n, 3), np.nan)
         self._stamps = np.full((SAMPLES, n), np.nan)
@@ -85,7 +83,7 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return self._tracked * reliability, term.astype(np.uint8), geometry
 
     def _elapsed(self, time: float | None) -> float:
-        """Return the time since the last frame [s], and remember this frame's."""
+        """Return the time since the last frame [s], and store this frame's."""
         before = self._time
         if time is None:
             time = 0.0 if before is None else before + FRAME_TIME
@@ -93,9 +91,9 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return FRAME_TIME if before is None else time - before
 
     def _square_errors(self, positions: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return means of squared noise along an axis and length errors [m^2], (J,).
+        """Return mean squares of noise along an axis and length errors [m^2], (J,).
 
-        They are over all values while there are few of them, then over the latest.
+        The means begin as means of all values so far, then forget exponentially.
         """
         root = self.skeleton.root
         relative = positions - positions[root]
@@ -120,16 +118,16 @@ class NoiseReliabilityScorer(ReliabilityScorer):
     def _square_noise(self) -> Array:
         """Return this frame's squared noise along one axis [m^2], NaN unknown, (J,).
 
-        The divided difference over five positions, whenever they came, is 0 for every
-        cubic (Newton's interpolation); with weights of norm 1 it is as large as the
-        noise. It can be negative, since the person's own share is subtracted.
+        The divided difference of five positions, at any times, is 0 for every cubic
+        (Newton's interpolation); with weights of norm 1 it is as large as the noise.
+        The result can be negative, since the person's own motion is subtracted.
         """
         apart = self._stamps[:, None] - self._stamps
         apart[np.arange(SAMPLES), np.arange(SAMPLES)] = 1.0
         weights = 1.0 / np.prod(apart, axis=1)
         weights /= np.sqrt(np.sum(weights * weights, axis=0))
-        left = np.einsum("kj,kjc->jc", weights, self._paths)
-        way = (self._paths[-1] - self._paths[0]) / (SAMPLES - 1)
-        square = np.sum(left * left / 3.0 - (HONEST_SHARE * way) ** 2, axis=1)
+        rest = np.einsum("kj,kjc->jc", weights, self._paths)
+        moved = (self._paths[-1] - self._paths[0]) / (SAMPLES - 1)
+        square = np.sum(rest * rest / 3.0 - (MOTION_SHARE * moved) ** 2, axis=1)
         square = np.minimum(square, (LARGEST_ERROR / ERROR_PER_NOISE) ** 2)
         return np.where(self._stamps[-1] == self._time, square, np.nan)
