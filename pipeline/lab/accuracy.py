@@ -28,11 +28,7 @@ _AVERAGED = 0.5  # s over which that error is averaged
 
 
 class Accuracy:
-    """Errors of limb joints, relative to the midpoint of the hips.
-
-    Args:
-        skeleton: The joints.
-    """
+    """Errors of limb joints, relative to the midpoint of the hips."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
@@ -95,8 +91,7 @@ def _mean_of_known(values: Array) -> Array:
 def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
     """Return the percentages of coordinates with errors below 1 and 1.96 uncertainties.
 
-    Args:
-        ratios: Absolute errors divided by the clip's uncertainty, NaN where unknown.
+    ``ratios`` are absolute errors divided by uncertainties, NaN where unknown.
     """
     known = ratios[~np.isnan(ratios)]
     if not known.size:
@@ -146,11 +141,7 @@ class _Person:
 
 
 class Tally:
-    """Results of a method over many clips.
-
-    Args:
-        accuracy: Computes the errors.
-    """
+    """Results of a method over many clips."""
 
     def __init__(self, accuracy: Accuracy) -> None:
         self._accuracy = accuracy

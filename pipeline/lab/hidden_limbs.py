@@ -53,6 +53,7 @@ _MARGIN = 5  # frames that a clip needs before and after a gap
 _PAUSE = 2.0  # s between the repetitions in a take
 _WORSE = 1.0  # cm above the better of hold and slerp, from which a clip counts as worse
 _TAKES_PER_JOB = 8
+_cleaner = cache(Cleaner)
 
 
 @dataclass(frozen=True)
@@ -237,11 +238,6 @@ def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
         yield Case(joined, list(zip(group, starts, strict=False))[1::3])
 
 
-@cache
-def _cleaner(system: System) -> Cleaner:
-    return Cleaner(system.config)
-
-
 def _cleaned(
     take: Take, unhidden: Take, cleaner: Cleaner, options: HiddenLimbs
 ) -> tuple[Array, Array | None, float]:
@@ -260,7 +256,7 @@ def _measure(
 ) -> list[Record]:
     """Clean takes with a system, once with nothing hidden and once for each limb."""
     system, corrector, prior = trained
-    records, method, cleaner = [], system.label, _cleaner(system)
+    records, method, cleaner = [], system.label, _cleaner(system.config)
     if corrector is not None:
         cleaner = cleaner.replaced(Correct(system.config, corrector))
     if prior is not None:
@@ -308,7 +304,7 @@ def _measure(
 
 
 def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
-    """Return mean distances [cm] by name, None if the truth is unknown."""
+    """Return mean distances [cm], None if the truth is unknown."""
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
@@ -317,13 +313,9 @@ def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
     """Return a row for each limb, value of ``by``, and method or baseline.
 
-    Means are over clips, then over people. Baselines are those on the clips of the
-    last method, but the percentages of hold relate each method to hold on its own
-    clips.
-
-    Args:
-        records: From ``measure_hidden``.
-        by: Splits the records by this key.
+    Records are those of ``measure_hidden``. Means are over clips, then over people.
+    Baselines are those of the last method's clips, but percentages of hold relate each
+    method to hold on its own clips.
     """
     groups: dict[tuple[str, str, str], list[Record]] = {}
     for record in records:

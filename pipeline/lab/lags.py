@@ -92,11 +92,8 @@ def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
     The lag is found in windows of a few seconds; the drift is the slope of the
     Theil-Sen line through these lags.
 
-    Args:
-        first: Distances [m] from the beginning of the first recording, as for
-            ``correlated``.
-        second: Those of the other recording.
-        clock: The clock without drift.
+    Distances [m] are as for ``correlated``, and those in ``first`` begin with the first
+    recording; ``clock`` has no drift yet.
     """
     width, hop = round(_WINDOW * _RATE), round(_HOP * _RATE)
     margin = round((_MARGIN + _LARGEST_DRIFT * len(first) / _RATE) * _RATE)

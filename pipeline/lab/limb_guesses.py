@@ -33,7 +33,7 @@ def hide(
     Args:
         take: The recording.
         joints: The joints to hide.
-        span: The frames in which they are hidden; the limb is visible before.
+        span: The frames in which they are hidden, which are not the first.
         guess: What the sensor reports instead: nothing, or inferred wrong positions.
         seed: Random seed of the wrong positions.
     """
@@ -78,11 +78,8 @@ def simple_guesses(
     and so are joints that are missing in a frame. Draw the spline into the raw take,
     not the cleaned motion, whose frames beside the gap are smoothed with those in it.
 
-    Args:
-        positions: The motion with nothing hidden, shape (T, J, 3).
-        skeleton: Its joints.
-        joints: The hidden joints.
-        span: The frames in which they are hidden; the limb is visible before and after.
+    ``positions`` [m] have nothing hidden, shape (T, J, 3); the limb is visible in the
+    frames before and after the span, in which ``joints`` are hidden.
     """
     yaw = find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
     frame = HeadingFrame(positions[:, skeleton.root], yaw)

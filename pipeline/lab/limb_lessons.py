@@ -213,10 +213,10 @@ def recordings_in(file: Path) -> Iterator[Recording]:
     name = file.name.partition(".")[0]
     if file.suffix == ".npz":
         yield from map(Recording.of, read_pairs(file))
-    elif ".bvh" in file.suffixes:
-        yield Recording(name, name, name, _take_of_mocap(file, name))
     else:
-        yield Recording(name, name, name, read_take(file))
+        is_mocap = ".bvh" in file.suffixes
+        take = _take_of_mocap(file, name) if is_mocap else read_take(file)
+        yield Recording(name, name, name, take)
 
 
 def read_lessons(

@@ -104,13 +104,13 @@ def describe_limbs(take: Take) -> Array:
     rays = positions / np.maximum(away, 1e-6)[..., None]
     cover = _behind_trunk(positions, rays, skeleton)
     for part, top in PARTS.items():
-        for k, side in enumerate(_SIDES):
-            j, other = (skeleton.index(part + s) for s in (side, _SIDES[1 - k]))
-            begin, opposite = (skeleton.index(top + s) for s in (side, _SIDES[1 - k]))
+        for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+            j, begin = skeleton.index(part + side), skeleton.index(top + side)
+            other, opposite = skeleton.mirror[[j, begin]]
             before, beyond = skeleton.parents[j], skeleton.children[j][0]
-            outwards = np.array([1.0 - 2.0 * k, 1.0, 1.0])
+            outwards = np.array([sign, 1.0, 1.0])
             middle = before if before != begin else j
-            far = outwards[0] * np.sin(turned)
+            far = sign * np.sin(turned)
             reach = (placed[:, j] - placed[:, begin]) * outwards
             mirrored = (placed[:, other] - placed[:, opposite]) * [-1.0, 1.0, 1.0]
             along = unit(positions[:, middle] - positions[:, begin])
@@ -129,7 +129,7 @@ def describe_limbs(take: Take) -> Array:
                     -unit(bones[:, j])[:, 1],
                     np.vecdot(unit(bones[:, j]), along),
                     cover[:, j],
-                    _behind_limb(positions, rays, away, j, _SIDES[1 - k], skeleton),
+                    _behind_limb(positions, rays, away, j, skeleton),
                     np.maximum(-reach[:, 0], 0.0),
                     reach[:, 2],
                     np.linalg.norm(reach - mirrored * outwards, axis=1),
@@ -150,9 +150,10 @@ def _behind_trunk(positions: Array, rays: Array, skeleton: Skeleton) -> Array:
 
 
 def _behind_limb(
-    positions: Array, rays: Array, away: Array, j: int, side: str, skeleton: Skeleton
+    positions: Array, rays: Array, away: Array, j: int, skeleton: Skeleton
 ) -> Array:
-    """Return the distance of a joint's ray to the nearest joint before it [m], (T,)."""
+    """Return how close a joint appears to nearer joints of the other side [m], (T,)."""
+    side = "Right" if skeleton.joints[j].endswith("Left") else "Left"
     names = ("Elbow", "Wrist", "Hand", "Knee", "Ankle")
     others = [skeleton.index(name + side) for name in names]
     off = _distances(positions[:, others], rays[:, None, j])
