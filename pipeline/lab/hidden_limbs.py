@@ -128,9 +128,9 @@ def measure_hidden(
             f"after it, fits into no clip ({skipped} tried); give a shorter --gap"
         )
     jobs = (
-        (some[k : k + _TAKES_PER_JOB], trained, options)
-        for some, ready in _folds(systems, cases, pairs, recordings, options, progress)
-        for k in range(0, len(some), _TAKES_PER_JOB)
+        (fold[k : k + _TAKES_PER_JOB], trained, options)
+        for fold, ready in _folds(systems, cases, pairs, recordings, options, progress)
+        for k in range(0, len(fold), _TAKES_PER_JOB)
         for trained in ready
     )
     if len(cases) <= _TAKES_PER_JOB:
@@ -172,21 +172,21 @@ def _folds(
         read += map(Recording.of, pairs)
         lessons = read_lessons(over(read, "read", progress), (not options.live,))
     for person in people:
-        some = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
-        if not some:
+        own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
+        if not own:
             continue
         school = School(
             [pair for pair in pairs if pair.subject != person],
-            some[0].take.skeleton,
+            own[0].take.skeleton,
             people=False,
-            database=builtin_database(some[0].take.skeleton),
+            database=builtin_database(own[0].take.skeleton),
             progress=progress,
         )
         others = joined(lesson for lesson in lessons if lesson.person != person)
         prior = teach_limbs(others) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
-        yield some, [_Trained(*each, prior) for each in ready]
+        yield own, [_Trained(*each, prior) for each in ready]
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
@@ -325,15 +325,15 @@ def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
     rows = []
     for limb, part in dict.fromkeys(key[:2] for key in groups):
         for name in ("seen", *SIMPLE, *methods):
-            some = groups[limb, part, name if name in methods else methods[-1]]
-            errors = [r["unhidden"] for r in some]
+            group = groups[limb, part, name if name in methods else methods[-1]]
+            errors = [r["unhidden"] for r in group]
             worse = [e[name] > min(e["hold"], e["slerp"]) + _WORSE for e in errors]
-            error, hold = (_mean(some, "unhidden", row) for row in (name, "hold"))
-            known = [r["within"] for r in some if r["within"] and name in methods]
-            row = {"limb": limb, "part": part, "row": name, "clips": len(some)}
+            error, hold = (_mean(group, "unhidden", row) for row in (name, "hold"))
+            known = [r["within"] for r in group if r["within"] and name in methods]
+            row = {"limb": limb, "part": part, "row": name, "clips": len(group)}
             row["unhidden_cm"] = error
             row["percent_of_hold"] = (error or 0.0) / hold * 100 if hold else None
-            row["mocap_cm"] = _mean(some, "mocap", name)
+            row["mocap_cm"] = _mean(group, "mocap", name)
             row["worse_percent"] = float(np.mean(worse) * 100)
             row["within_percent"] = np.mean(known, axis=0).tolist() if known else None
             rows.append(row)
