@@ -217,7 +217,7 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
         (["--hide", "arms", "--gap", "99"], "fits into no clip"),
         (["--hide", "arms", "--methods", "best"], "unknown method 'best'"),
         (["--hide", "arms", "--every", "0"], "--every 0"),
-        (["--hide", "arms", "--context", "repetitions"], "tells no repetition"),
+        (["--hide", "arms", "--context", "repetitions"], "contains no repetition"),
         ([], "PAIRS are for --hide"),
     ],
 )

@@ -1,3 +1,3 @@
-"""What measures kinefilter and reproduces the papers; cleaning needs none of it."""
+"""Evaluation, training and database building, which cleaning does not need."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""How far a motion is from the truth, as marker mocap or a simulation knows it."""
+"""Errors of a motion against the ground truth of marker mocap or a simulation."""
 
 from __future__ import annotations
 
@@ -18,21 +18,17 @@ LIMBS = tuple(
     for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
     for side in ("Left", "Right")
 )
-"""The joints that count: those whose place mocap and Kinect agree on in principle."""
+"""The scored joints, which mocap and Kinect define alike, at least in principle."""
 
 FAR = 0.07
-"""Joints farther off than this [m], constant offset aside, are to be found."""
+"""Offset-free error [m] above which a joint counts as wrong."""
 MISPLACED = 0.12
-"""Clips in which the mean of that over half a second is larger [m] are to be told."""
-_WHILE = 0.5  # s
+"""Offset-free error [m], averaged over half a second, that a clip should warn about."""
+_AVERAGED = 0.5  # s over which that error is averaged
 
 
 class Accuracy:
-    """Distances of limb joints from the truth, relative to the middle of the hips.
-
-    Args:
-        skeleton: The joints.
-    """
+    """Errors of limb joints, relative to the midpoint of the hips."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
@@ -40,7 +36,7 @@ class Accuracy:
         self._lengths = standard_body(skeleton).lengths
 
     def distances(self, positions: Array, truth: Array) -> Array:
-        """Return E's distances [m] per frame and limb joint, NaN where none, (T, 12).
+        """Return E per frame and limb joint [m], NaN where unknown, shape (T, 12).
 
         Args:
             positions: Joint positions [m], shape (T, J, 3).
@@ -49,22 +45,19 @@ class Accuracy:
         return np.asarray(np.linalg.norm(self.away(positions, truth), axis=2))
 
     def standardized(self, positions: Array, truth: Array) -> Array:
-        """Return E_std's: both sides' bones at standard lengths first, (T, 12)."""
+        """Return E_std [m], with standard bone lengths on both sides, (T, 12)."""
         return self.distances(self._standard(positions), self._standard(truth))
 
     def varying(self, positions: Array, truth: Array) -> Array:
-        """Return E_var's: without each joint's constant offset over the clip, (T, 12).
+        """Return E_var [m]: each joint's constant offset is removed first, (T, 12).
 
-        What an animator sees as wrong motion.
+        This is the error that an animator sees as wrong motion.
         """
         away = self.away(positions, truth)
-        seen = ~np.isnan(away[..., 0])
-        counts = np.maximum(seen.sum(axis=0), 1)[:, None]
-        mean = np.where(seen[..., None], away, 0.0).sum(axis=0) / counts
-        return np.asarray(np.linalg.norm(away - mean, axis=2))
+        return np.asarray(np.linalg.norm(away - _mean_of_known(away), axis=2))
 
     def away(self, positions: Array, truth: Array) -> Array:
-        """Return errors of limb joints [m], NaN where unknown, shape (T, 12, 3)."""
+        """Return error vectors of limb joints [m], NaN where unknown, (T, 12, 3)."""
         return self._from_hips(positions) - self._from_hips(truth)
 
     def _from_hips(self, positions: Array) -> Array:
@@ -72,10 +65,9 @@ class Accuracy:
         return np.asarray((positions - middle)[:, self.limbs])
 
     def _standard(self, positions: Array) -> Array:
-        """Keep each bone's direction, give it the standard length.
+        """Keep the direction of each bone and give it the standard length.
 
-        A joint on the way that is missing for the whole clip, such as mocap's spine,
-        is passed over on both sides of the comparison alike: the trunk is one bone.
+        The trunk is one bone, because mocap often has no spine joint.
         """
         skeleton = self.skeleton
         standard = np.full_like(positions, np.nan)
@@ -91,13 +83,17 @@ class Accuracy:
         return standard
 
 
-def within_uncertainty(shares: Array) -> tuple[float, float] | None:
-    """Return the per cent of coordinates within their uncertainty, and 1.96 times it.
+def _mean_of_known(values: Array) -> Array:
+    """Return means over the first axis without NaN; NaN where all are."""
+    return np.asarray(np.ma.masked_invalid(values).mean(axis=0).filled(np.nan))
 
-    Args:
-        shares: Sizes of errors over what the clip says they may be, NaN where unknown.
+
+def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
+    """Return the percentages of coordinates with errors below 1 and 1.96 uncertainties.
+
+    ``ratios`` are absolute errors divided by uncertainties, NaN where unknown.
     """
-    known = shares[~np.isnan(shares)]
+    known = ratios[~np.isnan(ratios)]
     if not known.size:
         return None
     return float(np.mean(known < 1.0) * 100), float(np.mean(known < 1.96) * 100)
@@ -105,32 +101,32 @@ def within_uncertainty(shares: Array) -> tuple[float, float] | None:
 
 @dataclass(eq=False)
 class _Person:
-    """What a method did on the clips of one person."""
+    """Results of a method on the clips of one person."""
 
     distances: list[Array] = field(default_factory=list)
     standardized: list[Array] = field(default_factory=list)
     varying: list[Array] = field(default_factory=list)
     jitters: list[float] = field(default_factory=list)
-    shares: list[Array] = field(default_factory=list)
-    """Errors of coordinates, over what the clip says that they may be."""
+    ratios: list[Array] = field(default_factory=list)
+    """Absolute errors of coordinates, divided by the clip's uncertainty."""
     wrong: list[Flags] = field(default_factory=list)
-    """Whether a raw joint is over 7 cm off, constant offset aside."""
+    """Whether a raw joint has an offset-free error above ``FAR``."""
     moved: list[Array] = field(default_factory=list)
-    """How far such a joint was moved [m], likewise."""
+    """Offset-free distance by which the method moved that joint [m]."""
     movements: list[str] = field(default_factory=list)
-    """What each clip shows."""
-    told: list[tuple[bool, bool]] = field(default_factory=list)
-    """Whether a limb was off by 12 cm for half a second, and whether that was told."""
+    """The movement in each clip."""
+    misplaced: list[tuple[bool, bool]] = field(default_factory=list)
+    """Per clip: whether a limb was misplaced, and whether a warning said so."""
 
     def figures(self) -> dict[str, float | None]:
         """Return means over frames and joints [cm], and the jitter [m/s^3].
 
-        ``within_68`` and ``within_95``: per cent of coordinates that are off by less
-        than their uncertainty, and than 1.96 times as much. ``found``: area under the
-        ROC curve of how far a joint was moved, for raw joints that were off.
+        ``within_68`` and ``within_95`` are percentages of coordinates with errors below
+        the uncertainty and below 1.96 times the uncertainty. ``found`` is the area
+        under the ROC curve of how far a joint was moved, for wrong raw joints.
         """
         distances = np.concatenate(self.distances)
-        within = within_uncertainty(np.concatenate(self.shares or [np.empty(0)]))
+        within = within_uncertainty(np.concatenate(self.ratios or [np.empty(0)]))
         wrong, moved = np.concatenate(self.wrong), np.concatenate(self.moved)
         return {
             "E": float(np.nanmean(distances) * 100),
@@ -143,21 +139,9 @@ class _Person:
             "found": area_under_roc(wrong, moved),
         }
 
-    def per_joint(self) -> Array:
-        """Return each limb joint's mean distance [cm], NaN where unknown, (12,)."""
-        distances = np.concatenate(self.distances)
-        counts = (~np.isnan(distances)).sum(axis=0)
-        sums = np.nansum(distances, axis=0)
-        mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-        return np.asarray(mean * 100)
-
 
 class Tally:
-    """Gathers what a method did.
-
-    Args:
-        accuracy: How far a motion is from the truth.
-    """
+    """Results of a method over many clips."""
 
     def __init__(self, accuracy: Accuracy) -> None:
         self._accuracy = accuracy
@@ -171,16 +155,16 @@ class Tally:
         seconds: float,
         uncertainty: Array | None = None,
         *,
-        told: bool = False,
+        warned: bool = False,
     ) -> None:
         """Add a clip.
 
         Args:
-            pair: The clip and its truth.
-            positions: What the method made of it [m], shape (T, J, 3).
-            seconds: What that took.
-            uncertainty: How far joints may be off [m], shape (T, J).
-            told: Whether the user was told that limbs were displaced.
+            pair: The raw take and its ground truth.
+            positions: Joint positions of the method's clip [m], shape (T, J, 3).
+            seconds: Computing time [s].
+            uncertainty: Uncertainty of the joints [m], shape (T, J).
+            warned: Whether cleaning warned of displaced limbs.
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth
@@ -189,17 +173,17 @@ class Tally:
         person.varying.append(accuracy.varying(positions, truth))
         person.movements.append(pair.movement)
         person.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
-        off = accuracy.varying(pair.take.positions, truth)
+        raw = accuracy.varying(pair.take.positions, truth)
         moved = accuracy.varying(positions, pair.take.positions)
-        known = ~np.isnan(off + moved)
-        frames = max(round(_WHILE * pair.take.fps), 1)
-        lasting = uniform_filter1d(np.nan_to_num(off), frames, axis=0).max()
-        person.told.append((bool(lasting > MISPLACED), told))
-        person.wrong.append(off[known] > FAR)
+        known = ~np.isnan(raw + moved)
+        frames = max(round(_AVERAGED * pair.take.fps), 1)
+        averaged = uniform_filter1d(np.nan_to_num(raw), frames, axis=0)
+        person.misplaced.append((bool(averaged.max() > MISPLACED), warned))
+        person.wrong.append(raw[known] > FAR)
         person.moved.append(moved[known])
         if uncertainty is not None:
             away = np.abs(accuracy.away(positions, truth))
-            person.shares.append(away / uncertainty[:, accuracy.limbs, None])
+            person.ratios.append(away / uncertainty[:, accuracy.limbs, None])
         self._seconds += seconds
         self._frames += len(positions)
 
@@ -212,57 +196,46 @@ class Tally:
         self._seconds += other._seconds
         self._frames += other._frames
 
-    def by_movement(self) -> dict[tuple[str, str], float]:
-        """Return E_var [cm] of each person's clips of each movement."""
-        found = {}
+    def by_movement(self) -> dict[str, dict[str, float]]:
+        """Return E_var [cm] of each movement, by person."""
+        errors: dict[str, dict[str, float]] = {}
         for name, person in self._people.items():
             clips = list(zip(person.movements, person.varying, strict=True))
             for movement in dict.fromkeys(person.movements):
                 varying = np.concatenate([v for m, v in clips if m == movement])
-                found[name, movement] = float(np.nanmean(varying) * 100)
-        return found
+                mean = float(np.nanmean(varying) * 100)
+                errors.setdefault(movement, {})[name] = mean
+        return errors
 
     def summary(self) -> dict[str, Any]:
         """Return the figures: means over frames and joints, then over people."""
-        each = {name: person.figures() for name, person in self._people.items()}
-        mean = {
-            key: float(np.mean(known)) if (known := _known(each, key)) else None
-            for key in next(iter(each.values()))
-        }
-        joints = np.array([person.per_joint() for person in self._people.values()])
-        told = [pair for person in self._people.values() for pair in person.told]
-        seen = ~np.isnan(joints)
-        means = np.nansum(joints, axis=0) / np.maximum(seen.sum(axis=0), 1)
+        people = {name: person.figures() for name, person in self._people.items()}
+        means: dict[str, float | None] = {}
+        for key in next(iter(people.values())):
+            known = [x for each in people.values() if (x := each[key]) is not None]
+            means[key] = float(np.mean(known)) if known else None
+        each_joint = [
+            _mean_of_known(np.concatenate(person.distances)) * 100
+            for person in self._people.values()
+        ]
+        joints = zip(LIMBS, _mean_of_known(np.array(each_joint)), strict=True)
+        clips = [clip for person in self._people.values() for clip in person.misplaced]
         return {
-            **mean,
+            **means,
             "ms_per_frame": self._seconds / self._frames * 1e3,
             "joints": {
-                name: float(value) if ever else None
-                for name, value, ever in zip(
-                    LIMBS, means, seen.any(axis=0), strict=True
-                )
+                name: None if np.isnan(mean) else float(mean) for name, mean in joints
             },
-            "clips_off": sum(off for off, _ in told),
-            "clips_off_told": sum(off and said for off, said in told),
-            "false_alarms": sum(said and not off for off, said in told),
-            "people": each,
-            "movements": self._of_movements(),
+            "clips_off": sum(off for off, _ in clips),
+            "clips_off_told": sum(off and warned for off, warned in clips),
+            "false_alarms": sum(warned and not off for off, warned in clips),
+            "people": people,
+            "movements": self.by_movement(),
         }
-
-    def _of_movements(self) -> dict[str, dict[str, float]]:
-        """Return E_var [cm] of each movement, by person."""
-        found: dict[str, dict[str, float]] = {}
-        for (name, movement), varying in self.by_movement().items():
-            found.setdefault(movement, {})[name] = varying
-        return found
-
-
-def _known(people: dict[str, dict[str, float | None]], key: str) -> list[float]:
-    return [value for figures in people.values() if (value := figures[key]) is not None]
 
 
 def area_under_roc(wrong: Flags, score: Array) -> float | None:
-    """Return how well a score tells what is wrong; None where all or nothing is."""
+    """Return how well a score ranks what is wrong; None if all or nothing is."""
     from sklearn.metrics import roc_auc_score
 
     return float(roc_auc_score(wrong, score)) if 0.0 < wrong.mean() < 1.0 else None

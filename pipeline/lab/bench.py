@@ -1,4 +1,4 @@
-"""How long every stage takes, frame by frame, one frame at a time."""
+"""Time per frame of every stage of cleaning, and whole takes per second."""
 
 from __future__ import annotations
 
@@ -26,51 +26,46 @@ from kinefilter.pipeline.stages import Physics, Stage
 from kinefilter.pipeline.workers import cores, workers
 from kinefilter.scenes import SAMPLE
 
-_TAKES_PER_CORE = 6  # that are cleaned side by side
-_WARM_UP = 10  # frames that are run and not counted
-_BARE_EVERY = 10  # frames: often enough to compare, and the others stay undisturbed
+_TAKES_PER_CORE = 6  # timed takes
+_WARM_UP = 10  # first frames, which are not counted
+_BARE_EVERY = 10  # frames between timings of the bare engine, which slow the stages
 
 
 class Timed(Stage):
-    """Does what another stage does, and times it.
-
-    Args:
-        stage: The other stage.
-    """
+    """Runs another stage and records how long it takes."""
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
         self.name = stage.name
         self.seconds: list[float] = []
-        """How long each frame, or each take, took [s]."""
+        """Time of each frame or, offline, of each take [s]."""
 
     def start(self, body: Body) -> None:
-        """Forget all frames."""
+        """Reset the stage for a new motion."""
         self.stage.start(body)
 
     def step(self, draft: Draft) -> None:
-        """Do and time the next frame."""
+        """Process and time the next frame."""
         begun = perf_counter()
         self.stage.step(draft)
         self.seconds.append(perf_counter() - begun)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Do and time a whole take."""
+        """Process and time a whole take."""
         begun = perf_counter()
         self.stage.whole(draft, progress)
         self.seconds.append(perf_counter() - begun)
 
 
 def sample_path() -> Path:
-    """Return the recording that comes with kinefilter."""
+    """Return the path of the sample take that ships with kinefilter."""
     return SAMPLE
 
 
 def bench(path: Path | None = None) -> dict[str, Any]:
-    """Return milliseconds a frame of every stage, and how the two searches compare.
+    """Return milliseconds per frame of every stage, and compare the two searches.
 
-    Args:
-        path: Take to time on; by default the sample that comes with kinefilter.
+    ``path`` is the take to clean, by default the sample that ships with kinefilter.
     """
     take = read_take(path or sample_path())
     return {
@@ -81,10 +76,10 @@ def bench(path: Path | None = None) -> dict[str, Any]:
 
 
 def _time_offline(take: Take) -> dict[str, float]:
-    """Return how many frames a second whole takes are cleaned at, on all cores."""
+    """Return how many frames per second all cores together clean in whole takes."""
     count = cores()
     with workers(count) as pool:
-        list(pool.map(clean, [take] * 2 * count))  # imports, database
+        list(pool.map(clean, [take] * 2 * count))  # warm up: imports, database
         start = perf_counter()
         done = list(pool.map(clean, [take] * _TAKES_PER_CORE * count))
         seconds = perf_counter() - start
@@ -93,15 +88,14 @@ def _time_offline(take: Take) -> dict[str, float]:
 
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
-    """Return how the solver and the paper's sampling do in the same posture spaces."""
+    """Compare the solver with the paper's sampling in the same posture spaces."""
     cleaner = Cleaner().until("standardize")
     cleaner.start(measure_body(take))
     generator = np.random.default_rng(0)
-    times, energies = [], []
+    times, lower = [], []
     for k in range(len(take)):
         frame = cleaner.step(take.positions[k], float(take.time[k]), take.state[k])
-        seen = Observation(frame.standard, frame.reliability, frame.geometry)
-        corrector.step(seen)
+        corrector.step(Observation(frame.standard, frame.reliability, frame.geometry))
         energy = corrector.energy
         start = energy.space.latent[0]
         marks = [perf_counter()]
@@ -110,9 +104,9 @@ def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
         sampled = stochastic_search(energy, start, generator)
         marks.append(perf_counter())
         times.append(np.diff(marks))
-        energies.append(energy(np.array([solved, sampled]))[0])
+        ours, theirs = energy(np.array([solved, sampled]))[0]
+        lower.append(ours <= theirs + 1e-12)
     solver, stochastic = np.median(times, axis=0) * 1e3
-    lower = [e[0] <= e[1] + 1e-12 for e in energies]
     return {
         "solver_ms": float(solver),
         "stochastic_ms": float(stochastic),
@@ -131,9 +125,9 @@ def _time_stages(take: Take) -> dict[str, Any]:
     for k in range(len(take)):
         cleaner.step(take.positions[k], float(take.time[k]), take.state[k])
         if k % _BARE_EVERY == 0:
-            # Among the stages: a machine may be slower a second later.
+            # Interleaved, because the machine may slow down within a second.
             bare.append(_bare_physics(physics.character, spare, 1.0 / take.fps))
-    # The median: a machine that does other things too makes single frames late.
+    # Medians, because other work on the machine delays single frames.
     times = np.array([stage.seconds[_WARM_UP:] for stage in timed]) * 1e3
     medians = np.median(times, axis=1).tolist()
     return {
@@ -148,21 +142,19 @@ def _time_stages(take: Take) -> dict[str, Any]:
 
 
 def _time_avatar(take: Take, body: Body) -> float:
-    """Return how long a frame of the live character takes [ms], checks included."""
+    """Return the time per frame of the live character [ms], checks included."""
     avatar, times = Avatar(body), []
-    for seconds, joints, state in zip(
-        take.time, take.positions, take.state, strict=True
-    ):
+    for k in range(len(take)):
         start = perf_counter()
-        avatar.step(joints, float(seconds), state)
+        avatar.step(take.positions[k], float(take.time[k]), take.state[k])
         times.append(perf_counter() - start)
     return float(np.median(times[_WARM_UP:]) * 1e3)
 
 
 def _bare_physics(character: PulledCharacter, spare: mujoco.MjData, dt: float) -> float:
-    """Return how long a frame of nothing but the engine's substeps takes [s].
+    """Return the time that the engine alone takes for the substeps of a frame [s].
 
-    From where the character is, on other data, so that nothing of it changes.
+    It starts from the character's state and uses spare data, to leave it unchanged.
     """
     substeps = prod(steps_in(dt))
     character.model.opt.timestep = dt / substeps
@@ -175,19 +167,19 @@ def _bare_physics(character: PulledCharacter, spare: mujoco.MjData, dt: float) -
 
 def as_table(figures: dict[str, Any]) -> Table:
     """Return the figures for a terminal."""
-    table = Table("stage", "ms a frame", title=f"{figures['frames']} frames")
-    for stage, value in figures["ms_per_frame"].items():
+    search, offline = figures["search"], figures["offline"]
+    times = {
+        **figures["ms_per_frame"],
+        "live frame, in total": figures["avatar_ms_per_frame"],
+        "mj_step alone": figures["mj_step_ms_per_frame"],
+        "search alone: solver": search["solver_ms"],
+        "search alone: stochastic": search["stochastic_ms"],
+    }
+    table = Table("stage", "ms per frame", title=f"{figures['frames']} frames")
+    for stage, value in times.items():
         table.add_row(stage, f"{value:.3f}")
-    table.add_row("a live frame in all", f"{figures['avatar_ms_per_frame']:.3f}")
-    table.add_row("mj_step alone", f"{figures['mj_step_ms_per_frame']:.3f}")
-    search = figures["search"]
-    table.add_row("search alone: solver", f"{search['solver_ms']:.3f}")
-    table.add_row("search alone: stochastic", f"{search['stochastic_ms']:.3f}")
-    offline = figures["offline"]
-    table.add_row(
-        f"whole takes, {offline['cores']} cores",
-        f"{offline['frames_per_second']:.0f} frames/s",
-    )
+    speed = f"{offline['frames_per_second']:.0f} frames/s"
+    table.add_row(f"whole takes, {offline['cores']} cores", speed)
     share = search["share_of_frames_lower_energy"]
     table.caption = f"the solver reaches the lower energy in {share:.1%} of the frames"
     return table

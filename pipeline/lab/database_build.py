@@ -1,4 +1,4 @@
-"""Motion databases from mocap and from the mocap side of pairs."""
+"""Builds posture databases from mocap files or from the mocap in pairs."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ from kinefilter.retarget.orientation import hang_missing, rotations_from_positio
 from .spool import Spool
 
 POSTURES_PER_SECOND = 30.0
-"""Rate [1/s] at which postures are taken from motions."""
+"""Rate [1/s] at which motions are sampled."""
 FILTERED_POSTURES = 2574
-"""Postures that the threshold rule leaves (Shum 2013, table V)."""
-
-_EVERY_OTHER = 2  # frame of pairs: the filter drops more than that
+"""Default number of postures that the threshold rule keeps (Shum 2013, table V)."""
+_PAIRS_STEP = 2  # frames between samples of pairs; the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
 
 
@@ -44,32 +43,34 @@ def database_from_mocap(
     count: int = FILTERED_POSTURES,
     progress: Progress = silent,
 ) -> PostureDatabase:
-    """Build a database for the takes of a skeleton from mocap.
+    """Build a database for the takes of a skeleton from mocap files.
 
-    Files are BVH, AMC with its ASF, or C3D, with the joint names of
-    ``retarget/source_rigs``, in whatever unit. The threshold rule keeps about ``count``
-    postures. Raises an InputError if there are none, or one lacks a joint.
+    Files are BVH, AMC with its ASF, C3D or TRC, in any unit, with the joint names of
+    ``retarget/source_rigs``. The threshold rule keeps about ``count`` postures.
+
+    Raises:
+        InputError: There is no file, or a file lacks a joint.
     """
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
     if not motions:
-        raise InputError("no BVH, AMC, C3D or TRC files given; name one or more")
-    parts = (
-        (
-            file.name.split(".")[0],
-            *mocap_postures(read_mocap(file, skeletons), skeleton),
-        )
-        for file in over(motions, "read", progress)
-    )
+        raise InputError("no BVH, AMC, C3D or TRC files; give one or more")
+
+    def postures_of(file: Path) -> tuple[str, Array, Array]:
+        mocap = read_mocap(file, skeletons)
+        return file.name.split(".")[0], *mocap_postures(mocap, skeleton)
+
+    parts = map(postures_of, over(motions, "read", progress))
     return filtered_database(parts, skeleton, f"{len(motions)} mocap files", count)
 
 
 def database_from_pairs(
     pairs: Iterable[PairedTake], skeleton: Skeleton, *, count: int = FILTERED_POSTURES
 ) -> PostureDatabase:
-    """Build a database, as ``database_from_mocap``, from the mocap side of pairs.
+    """Build a database from the mocap in pairs, like ``database_from_mocap``.
 
-    Raises an InputError if they have no mocap, or another skeleton.
+    Raises:
+        InputError: The pairs contain no mocap, or are of another skeleton.
     """
     people: set[str] = set()
     truths = _truths(pairs, skeleton, people)
@@ -80,22 +81,22 @@ def database_from_pairs(
 def _truths(
     pairs: Iterable[PairedTake], skeleton: Skeleton, people: set[str]
 ) -> Iterator[tuple[str, Array, Array]]:
-    """Yield name, postures and rotations of the mocap; note who moved."""
+    """Yield name, postures and rotations of each clip's mocap; add to ``people``."""
     for pair in pairs:
         if pair.take.skeleton != skeleton:
             raise InputError(
-                f"{pair.take.source}: pairs of {pair.take.skeleton.name}, but the "
-                f"database is for {skeleton.name}; add --skeleton "
+                f"{pair.take.source}: the pairs are of {pair.take.skeleton.name}, but "
+                f"the database is for {skeleton.name}; add --skeleton "
                 f"{pair.take.skeleton.name}"
             )
         people.add(pair.subject)
-        truth = pair.truth[::_EVERY_OTHER]
+        truth = pair.truth[::_PAIRS_STEP]
         truth = truth[whole_frames(truth)]
         if not len(truth):
             continue
         missing = np.asarray(np.isnan(truth).any(axis=2))
         state = np.where(missing, State.NOT_TRACKED, State.TRACKED).astype(np.uint8)
-        time = np.arange(len(truth)) * _EVERY_OTHER / POSTURES_PER_SECOND
+        time = np.arange(len(truth)) * _PAIRS_STEP / POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
         body = measure_body(Take(time, seen, state, skeleton, pair.take.source))
         yield pair.clip, *standard_postures(seen, None, body)
@@ -109,11 +110,11 @@ def filtered_database(
     *,
     recorded: bool = True,
 ) -> PostureDatabase:
-    """Return the database of the postures that differ.
+    """Return a database of about ``count`` postures, chosen by the threshold rule.
 
-    All are put aside on a disk, so that there may be more than memory holds.
+    All postures are buffered on disk, because they may not fit into memory.
     """
-    # Rounded as the file rounds them: a database is the same before and after.
+    # In the file's precision, so that saving and loading change nothing.
     positions, rotations = Spool(np.float32), Spool(np.float32)
     names, ends = [], []
     for name, postures, turns in parts:
@@ -123,8 +124,8 @@ def filtered_database(
         ends.append(len(positions))
     if len(positions) < 2:
         raise InputError(
-            f"{source}: {len(positions)} postures make no database; give files with "
-            "motion in them"
+            f"{source}: a database needs 2 postures or more, found {len(positions)}; "
+            "give files that contain motion"
         )
     kept = filter_to_count(positions.array(), count)
     return PostureDatabase(
@@ -142,7 +143,7 @@ def standard_postures(
 ) -> tuple[Array, Array]:
     """Return postures and segment rotations on the standard body, without yaw.
 
-    Joints that the source has not hang on their parent as they do at rest.
+    Joints that the source lacks get their rest offset from their parent.
     """
     standard = standard_body(body.skeleton)
     weights = np.ones(positions.shape[:2])
@@ -154,29 +155,31 @@ def standard_postures(
 
 
 def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return the normalized postures of mocap, 30 a second."""
+    """Return postures and rotations on the standard body, 30 per second."""
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
     whole = whole_frames(positions)
     frames = np.flatnonzero(whole)[:: max(1, round(step / mocap.frame_time))]
     if not len(frames):
-        raise InputError(f"{mocap.source}: no frame has all joints; give whole bodies")
+        raise InputError(
+            f"{mocap.source}: no frame has all joints; give mocap of the whole body"
+        )
     unit, body = mocap_body(positions, skeleton)
     prior = None
     if motion.turns is not None and whole[0]:
-        prior = _since_t_pose(motion.turns, positions[0], body)
-    prior = None if prior is None else prior[frames]
+        prior = _since_t_pose(motion.turns[frames], positions[0], body)
     return standard_postures(unit * positions[frames], prior, body)
 
 
 def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
-    """Return the meters per unit of a file, and the body of who moves in it.
+    """Return the file's unit [m] and the body of the performer.
 
-    Mocap's own lengths are taken as they are; joints are (T, J, 3).
+    Bone lengths are those of the mocap, and average where it has none; positions have
+    shape (T, J, 3).
     """
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
-    with np.errstate(divide="ignore"):  # some rigs have joints at the same place
+    with np.errstate(divide="ignore"):  # some rigs have coincident joints
         unit = float(np.nanmedian(average.lengths[ends] / lengths[ends]))
     known = unit * lengths > 1e-3
     lengths = np.where(known, unit * lengths, average.lengths)
@@ -184,18 +187,15 @@ def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
 
 
 def whole_frames(positions: Array) -> Flags:
-    """Return the frames that have every joint the motion ever has, shape (T,).
-
-    Joints that it never has are put in their rest positions later.
-    """
+    """Return a mask of the frames that have every joint the motion ever has, (T,)."""
     missing = np.isnan(positions).any(axis=2)
     return np.asarray((missing == missing.all(axis=0)).all(axis=1))
 
 
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
-    """Return rotations since the T-pose, which mocap files often hold as first frame.
+    """Return rotations relative to a T-pose in the first frame, as mocap often has.
 
-    None where the first frame is another: then nothing is known about the twist.
+    None without a T-pose there: the twist of the bones is then unknown.
     """
     skeleton = body.skeleton
     heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))

@@ -1,8 +1,8 @@
-"""How near a limb that was hidden comes to where it was seen, on recorded people.
+"""Errors of reconstructed limbs that were hidden in recorded takes.
 
-A limb that the sensor saw is hidden in the middle of a clip, the take is cleaned, and
-the hidden joints are compared with those of the take cleaned with nothing hidden, and
-with marker mocap, beside the simplest guesses.
+A visible limb is hidden in the middle of a clip and the take is cleaned. The hidden
+joints are compared with those of the take cleaned with nothing hidden, and with marker
+mocap; simple guesses serve as baselines.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from rich.table import Table
 
 from kinefilter.characters import InputError, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, check_word
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
@@ -49,15 +49,16 @@ Context = Literal["alone", "repetitions"]
 By = Literal["movement", "gap", "person"]
 Record = dict[str, Any]
 
-_SEEN = 5  # frames that a limb must be seen for before and after a gap
+_MARGIN = 5  # frames that a clip needs before and after a gap
 _PAUSE = 2.0  # s between the repetitions in a take
-_WORSE = 1.0  # cm by which a clip is worse than the better of hold and slerp
-_A_JOB = 8  # takes that a process cleans before it reports
+_WORSE = 1.0  # cm above the better of hold and slerp, from which a clip counts as worse
+_TAKES_PER_JOB = 8
+_cleaner = cache(Cleaner)
 
 
 @dataclass(frozen=True)
 class HiddenLimbs:
-    """What is hidden, and how takes are cleaned; see ``evaluate --help``."""
+    """What to hide and how to clean takes; see ``kinefilter evaluate --help``."""
 
     limbs: tuple[str, ...]
     gaps: tuple[str, ...] = ("55%",)
@@ -68,14 +69,13 @@ class HiddenLimbs:
 
     def __post_init__(self) -> None:
         for limb in self.limbs:
-            if limb not in HIDDEN:
-                raise InputError(f"unknown limb {limb!r}; known: {', '.join(HIDDEN)}")
+            check_word(limb, HIDDEN, "limb")
         for gap in self.gaps:
             _frames(gap, 100, 30.0)
 
 
 class Case(NamedTuple):
-    """A take, and its clips in which a limb is hidden, with their first rows."""
+    """A take, and the clips in it that get a gap, with their first frames."""
 
     take: Take
     hidden: list[tuple[PairedTake, int]]
@@ -92,29 +92,30 @@ def measure_hidden(
     every: int = 1,
     progress: Progress = silent,
 ) -> tuple[list[Record], int]:
-    """Hide limbs in clips and measure what cleaning makes of them.
+    """Hide limbs in clips and measure the errors after cleaning.
 
     Args:
-        pairs: Clips; people are told apart by ``subject``.
-        methods: Names as ``systems_of`` has them. Those that learn are taught by the
-            clips of the other people, in which nothing is hidden.
-        options: What is hidden.
-        recordings: If there are any, what limbs mostly do is learned from these and
-            the clips of the other people; else it is what ships.
-        presets: Names out of ``PRESETS``, likewise.
-        assigned: Parameters of all of them, NAME=VALUE.
+        pairs: Clips of one or more people.
+        methods: Names as in ``systems_of``. Methods that learn are trained on the
+            clips of the other people, with nothing hidden.
+        options: What to hide.
+        recordings: Train the prior for hidden limbs on these and on the clips of the
+            other people; by default the shipped prior is used.
+        presets: Names in ``PRESETS``, likewise.
+        assigned: Parameters of all systems that have them, as NAME=VALUE.
         every: Clean only every Nth take.
         progress: Wraps the loop over takes, for a progress bar.
 
     Returns:
-        A record of each gap, and how many gaps were too long for their clip. Its errors
-        [cm] are means over frames and joints: of the method, of the ``seen`` clip and
-        of ``SIMPLE``, against the seen clip (``unhidden``) and against ``mocap``.
-        ``within``: per cent of hidden coordinates nearer to mocap than their
-        uncertainty, and than 1.96 times that; None live, and without mocap.
+        A record of each gap, and the number of gaps that were too long for their clip.
+        Errors [cm] are means over frames and joints, of the method, of the clip with
+        nothing hidden (``seen``) and of the baselines in ``SIMPLE``: relative to that
+        clip (``unhidden``) and to the ground truth (``mocap``). ``within`` holds the
+        percentages of hidden coordinates with errors below 1 and 1.96 uncertainties;
+        None in live mode and without ground truth.
 
     Raises:
-        InputError: Unknown methods, or no clip in which the gaps fit.
+        InputError: A method is unknown, or the gaps fit into no clip.
     """
     systems = systems_of(methods, presets, assigned, physics=options.physics)
     cases = list(join_cases(pairs, options.context))[:: as_step(every)]
@@ -123,18 +124,16 @@ def measure_hidden(
     skipped = spans.count(None)
     if skipped == len(spans):
         raise InputError(
-            f"a gap of {', '.join(options.gaps)} fits into no clip with {_SEEN} frames "
-            f"before and after it ({skipped} tried); give a shorter one"
+            f"a gap of {', '.join(options.gaps)}, with {_MARGIN} frames before and "
+            f"after it, fits into no clip ({skipped} tried); give a shorter --gap"
         )
     jobs = (
-        (some[k : k + _A_JOB], taught, options)
-        for some, several in _folds(
-            systems, cases, pairs, recordings, options, progress
-        )
-        for k in range(0, len(some), _A_JOB)
-        for taught in several
+        (fold[k : k + _TAKES_PER_JOB], trained, options)
+        for fold, ready in _folds(systems, cases, pairs, recordings, options, progress)
+        for k in range(0, len(fold), _TAKES_PER_JOB)
+        for trained in ready
     )
-    if len(cases) <= _A_JOB:
+    if len(cases) <= _TAKES_PER_JOB:
         return [record for job in jobs for record in _measure(*job)], skipped
     with workers() as pool:
         waiting = [pool.submit(_measure, *job) for job in jobs]
@@ -142,8 +141,8 @@ def measure_hidden(
     return [record for records in done for record in records], skipped
 
 
-class _Taught(NamedTuple):
-    """A system, and what it has learned: None is what its config makes, and ships."""
+class _Trained(NamedTuple):
+    """A system, with a corrector and a prior if they are not the default ones."""
 
     system: System
     corrector: Corrector | None = None
@@ -157,15 +156,15 @@ def _folds(
     recordings: Sequence[Path],
     options: HiddenLimbs,
     progress: Progress,
-) -> Iterator[tuple[list[Case], list[_Taught]]]:
-    """Yield takes, and what cleans them."""
+) -> Iterator[tuple[list[Case], list[_Trained]]]:
+    """Yield takes, and the systems that are to clean them."""
     learning = [system for system in systems if system.learns or recordings]
-    yield cases, [_Taught(system) for system in systems if system not in learning]
+    yield cases, [_Trained(system) for system in systems if system not in learning]
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
-            f"{learning[0].label} learns from other people; give pairs files of two or "
-            "more"
+            f"{learning[0].label} learns from other people, but all pairs are of "
+            f"{people[0]}; give pairs files of two or more people"
         )
     lessons: list[Lesson] = []
     if recordings:
@@ -173,45 +172,44 @@ def _folds(
         read += map(Recording.of, pairs)
         lessons = read_lessons(over(read, "read", progress), (not options.live,))
     for person in people:
-        some = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
-        if not some:
+        own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
+        if not own:
             continue
         school = School(
             [pair for pair in pairs if pair.subject != person],
-            some[0].take.skeleton,
+            own[0].take.skeleton,
             people=False,
-            database=builtin_database(some[0].take.skeleton),
+            database=builtin_database(own[0].take.skeleton),
             progress=progress,
         )
         others = joined(lesson for lesson in lessons if lesson.person != person)
         prior = teach_limbs(others) if recordings else None
-        yield (
-            some,
-            [
-                _Taught(s, school.corrector(s) if s.learns else None, prior)
-                for s in learning
-            ],
-        )
+        correctors = [school.corrector(s) if s.learns else None for s in learning]
+        ready = zip(learning, correctors, strict=True)
+        yield own, [_Trained(*each, prior) for each in ready]
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
-    """Return how many frames of a clip of ``count`` a gap takes."""
-    share, number = gap.endswith("%"), gap.removesuffix("%")
-    known = re.fullmatch(r"\d{0,4}\.?\d{1,9}", number)
-    if not known or (share and float(number) >= 100):
-        raise InputError(f"gap {gap!r}: expected seconds, such as 0.3, or 55%")
-    return round(count * float(number) / 100 if share else float(number) * fps)
+    """Return the length in frames of a gap in a clip of ``count`` frames."""
+    percent, number = gap.endswith("%"), gap.removesuffix("%")
+    valid = re.fullmatch(r"\d{0,4}\.?\d{1,9}", number)
+    if not valid or (percent and float(number) >= 100):
+        raise InputError(
+            f"gap {gap!r}: expected seconds, such as 0.3, or less than 100 percent of "
+            "the clip, such as 55%"
+        )
+    return round(count * float(number) / 100 if percent else float(number) * fps)
 
 
 def middle(take: Take, gap: str) -> slice | None:
-    """Return the frames in the middle of a clip that a gap takes, if they fit."""
+    """Return the frames of a gap in the middle of a clip, None if it does not fit."""
     count = _frames(gap, len(take), take.fps)
     start = (len(take) - count) // 2
-    return slice(start, start + count) if count > 0 and start >= _SEEN else None
+    return slice(start, start + count) if count > 0 and start >= _MARGIN else None
 
 
 def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
-    """Yield takes: each clip, or all repetitions, of which every third is hidden."""
+    """Yield each clip as a take, or join repetitions and give every third a gap."""
     if context == "alone":
         yield from (Case(pair.take, [(pair, 0)]) for pair in pairs)
         return
@@ -220,8 +218,9 @@ def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
         name = re.sub(r"_e\d+", "", pair.clip)
         if name == pair.clip:
             raise InputError(
-                f"{pair.take.source}: the clip's name tells no repetition; expected "
-                "one such as m01_s02_e05, or use --context alone"
+                f"{pair.take.source}: the clip name {pair.clip!r} contains no "
+                "repetition; expected a name such as m01_s02_e05, or use --context "
+                "alone"
             )
         groups.setdefault((pair.subject, name), []).append(pair)
     for group in groups.values():
@@ -239,15 +238,10 @@ def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
         yield Case(joined, list(zip(group, starts, strict=False))[1::3])
 
 
-@cache
-def _cleaner(system: System) -> Cleaner:
-    return Cleaner(system.config)
-
-
 def _cleaned(
     take: Take, unhidden: Take, cleaner: Cleaner, options: HiddenLimbs
 ) -> tuple[Array, Array | None, float]:
-    """Return joint positions of the clean clip [m], their uncertainty, and the tilt."""
+    """Return the clip's joint positions [m], their uncertainty, and the tilt."""
     if not options.live:
         clip = cleaner.clean(take).clip
         return clip.positions, clip.uncertainty, clip.tilt
@@ -257,104 +251,91 @@ def _cleaned(
     return positions, None, 0.0
 
 
-def _measure(cases: list[Case], taught: _Taught, options: HiddenLimbs) -> list[Record]:
-    """Clean takes by a system, once with nothing hidden and once for each limb."""
-    system, corrector, prior = taught
-    found, method, cleaner = [], system.label, _cleaner(system)
+def _measure(
+    cases: list[Case], trained: _Trained, options: HiddenLimbs
+) -> list[Record]:
+    """Clean takes with a system, once with nothing hidden and once for each limb."""
+    system, corrector, prior = trained
+    records, method, cleaner = [], system.label, _cleaner(system.config)
     if corrector is not None:
         cleaner = cleaner.replaced(Correct(system.config, corrector))
     if prior is not None:
         cleaner = knowing(cleaner, system.config, prior)
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
-        seen, sure, tilt = _cleaned(take, take, cleaner, options)
+        seen, _, tilt = _cleaned(take, take, cleaner, options)
         for gap, limb in product(options.gaps, options.limbs):
+            spans = [(*h, s) for h in case.hidden if (s := middle(h[0].take, gap))]
+            if not spans:
+                continue
             joints = [skeleton.index(j) for j in HIDDEN[limb] if j in skeleton.joints]
             scored = [j for j in joints if skeleton.joints[j] in LIMBS]
-            spans = [(*h, s) for h in case.hidden if (s := middle(h[0].take, gap))]
-            blind, places = take, take.positions.copy()
+            blind, with_spline = take, take.positions.copy()
             for pair, start, span in spans:
-                rows = slice(start + span.start, start + span.stop)
+                gap_rows = slice(start + span.start, start + span.stop)
                 seed = zlib.crc32(pair.clip.encode())
-                blind = hide(blind, joints, rows, options.guess, seed)
+                blind = hide(blind, joints, gap_rows, options.guess, seed)
                 rows = slice(start, start + len(pair.take))
-                drawn = simple_guesses(places[rows], skeleton, joints, span)
-                places[rows] = drawn["spline"]
-            hidden = spline = seen
-            if spans:
-                hidden, sure, _ = _cleaned(blind, take, cleaner, options)
-                drawn_into = replace(take, positions=places)
-                spline, _, _ = _cleaned(drawn_into, take, cleaner, options)
+                guesses = simple_guesses(with_spline[rows], skeleton, joints, span)
+                with_spline[rows] = guesses["spline"]
+            cleaned, uncertainty, _ = _cleaned(blind, take, cleaner, options)
+            drawn = replace(take, positions=with_spline)
+            spline, _, _ = _cleaned(drawn, take, cleaner, options)
             for pair, start, span in spans:
                 rows = slice(start, start + len(pair.take))
                 motions = simple_guesses(seen[rows], skeleton, joints, span)
-                motions["spline"] = spline[rows]
-                motions |= {method: hidden[rows], "seen": seen[rows]}
-                motions["mocap"] = leveled(pair.truth, tilt)
-                middles = {k: m[span][:, skeleton.hips] for k, m in motions.items()}
-                limbs = {
-                    name: motion[span][:, scored] - middles[name].mean(1, keepdims=True)
-                    for name, motion in motions.items()
-                }
+                motions |= {"spline": spline[rows], method: cleaned[rows]}
+                motions |= {"seen": seen[rows], "mocap": leveled(pair.truth, tilt)}
+                limbs = {}
+                for name, motion in motions.items():
+                    hips = motion[span][:, skeleton.hips].mean(1, keepdims=True)
+                    limbs[name] = motion[span][:, scored] - hips
                 mocap = limbs.pop("mocap")
                 within = None
-                if sure is not None:
-                    shares = np.abs(limbs[method] - mocap)
-                    shares /= sure[rows][span][:, scored, None]
-                    within = within_uncertainty(shares)
-                found.append(
-                    {
-                        "person": pair.subject,
-                        "movement": pair.movement,
-                        "clip": pair.clip,
-                        "limb": limb,
-                        "gap": gap,
-                        "method": method,
-                        "unhidden": _errors(limbs, limbs["seen"]),
-                        "mocap": _errors(limbs, mocap),
-                        "within": within,
-                    }
-                )
-    return found
+                if uncertainty is not None:
+                    limits = uncertainty[rows][span][:, scored, None]
+                    within = within_uncertainty(np.abs(limbs[method] - mocap) / limits)
+                record: Record = {"person": pair.subject, "movement": pair.movement}
+                record |= {"clip": pair.clip, "limb": limb, "gap": gap}
+                record |= {"method": method, "unhidden": _errors(limbs, limbs["seen"])}
+                record |= {"mocap": _errors(limbs, mocap), "within": within}
+                records.append(record)
+    return records
 
 
 def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
-    """Return mean distances [cm], None where there is no truth."""
+    """Return mean distances [cm], None if the truth is unknown."""
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
 
 
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
-    """Return a row for each limb, part of the records and method or simple guess.
+    """Return a row for each limb, value of ``by``, and method or baseline.
 
-    Means are over clips, then over people. The simple guesses are those made on the
-    clips of the last method, but each method's per cent are of hold on its own clips.
-
-    Args:
-        records: From ``measure_hidden``.
-        by: What the records are split by.
+    Records are those of ``measure_hidden``. Means are over clips, then over people.
+    Baselines are those of the last method's clips, but percentages of hold relate each
+    method to hold on its own clips.
     """
+    groups: dict[tuple[str, str, str], list[Record]] = {}
+    for record in records:
+        key = (record["limb"], record[by] if by else "", record["method"])
+        groups.setdefault(key, []).append(record)
+    methods = list(dict.fromkeys(method for _, _, method in groups))
     rows = []
-    methods = list(dict.fromkeys(r["method"] for r in records))
-    for limb, part in dict.fromkeys((r["limb"], r[by] if by else "") for r in records):
+    for limb, part in dict.fromkeys(key[:2] for key in groups):
         for name in ("seen", *SIMPLE, *methods):
-            some = [
-                r
-                for r in records
-                if (r["limb"], r[by] if by else "") == (limb, part)
-                and r["method"] == (name if name in methods else methods[-1])
-            ]
-            errors = [r["unhidden"] for r in some]
+            group = groups[limb, part, name if name in methods else methods[-1]]
+            errors = [r["unhidden"] for r in group]
             worse = [e[name] > min(e["hold"], e["slerp"]) + _WORSE for e in errors]
-            away, hold = (_mean(some, "unhidden", row) for row in (name, "hold"))
-            row = {"limb": limb, "part": part, "row": name, "clips": len(some)}
-            row["unhidden_cm"] = away
-            row["percent_of_hold"] = (away or 0.0) / hold * 100 if hold else None
-            row["mocap_cm"] = _mean(some, "mocap", name)
+            error, hold = (_mean(group, "unhidden", row) for row in (name, "hold"))
+            known = [r["within"] for r in group if r["within"] and name in methods]
+            row = {"limb": limb, "part": part, "row": name, "clips": len(group)}
+            row["unhidden_cm"] = error
+            row["percent_of_hold"] = (error or 0.0) / hold * 100 if hold else None
+            row["mocap_cm"] = _mean(group, "mocap", name)
             row["worse_percent"] = float(np.mean(worse) * 100)
-            told = [r["within"] for r in some if r["within"]] if name in methods else []
-            row["within_percent"] = np.mean(told, axis=0).tolist() if told else None
+            row["within_percent"] = np.mean(known, axis=0).tolist() if known else None
             rows.append(row)
     return rows
 
@@ -368,7 +349,7 @@ def _mean(records: Sequence[Record], key: str, row: str) -> float | None:
 
 
 def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
-    """Return what ``summarize`` found, for a terminal."""
+    """Return the rows of ``summarize`` for a terminal."""
     table = Table("limb", *([by] if by else []), "", title=title)
     for heading in ("clips", "cm", "% of hold", "cm to mocap", "worse %", "within"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -384,8 +365,9 @@ def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
             ", ".join(f"{share:.0f}" for share in row["within_percent"] or ()),
         )
     table.caption = (
-        "cm: hidden joints relative to the hips, against the clip with nothing hidden; "
-        "worse: clips over 1 cm worse than the better of hold and slerp; within: % of "
-        "coordinates nearer to mocap than their uncertainty, and than 1.96 times that"
+        "cm: error of the hidden joints relative to the hips, against the clip with "
+        "nothing hidden; worse: clips over 1 cm worse than the better of hold and "
+        "slerp; within: % of coordinates with errors to mocap below their uncertainty, "
+        "and below 1.96 times it"
     )
     return table

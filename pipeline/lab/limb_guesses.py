@@ -1,4 +1,4 @@
-"""A limb hidden in a take, and the simplest guesses where it went meanwhile."""
+"""Hides a limb in a take, and fills the gap with simple baselines."""
 
 from __future__ import annotations
 
@@ -16,28 +16,26 @@ from kinefilter.pipeline.reconstruct.continuity import REFERENCE_RATE, bridge
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 HIDDEN = dict(LIMBS)
-"""Joints that are hidden with a limb, by its name."""
+"""Joints that are hidden with each limb."""
 HIDDEN["hand"] = HIDDEN["wrist"] = HIDDEN["right-hand"]
-
 Guess = Literal["none", "drift", "hang", "jitter"]
 SIMPLE = ("hold", "slerp", "spline")
-
 _DRIFT = 0.2  # m/s
-_DRIFT_TURNS = 2.0  # by which the direction of the drift wanders in a second: a guess
+_DRIFT_TURNS = 2.0  # random walk of the drift's direction in a second. A guess.
 _JITTER = 0.05  # m, standard deviation along each axis
 
 
 def hide(
     take: Take, joints: Sequence[int], span: slice, guess: Guess, seed: int = 0
 ) -> Take:
-    """Return a take in which the sensor does not see some joints for some frames.
+    """Return a take in which joints are hidden from the sensor for some frames.
 
     Args:
         take: The recording.
-        joints: The hidden joints.
-        span: The frames in which they are hidden; the limb is seen before.
-        guess: What the sensor says of them: nothing, or a wrong place, as inferred.
-        seed: Of the wrong places.
+        joints: The joints to hide.
+        span: The frames in which they are hidden, which are not the first.
+        guess: What the sensor reports instead: nothing, or inferred wrong positions.
+        seed: Random seed of the wrong positions.
     """
     positions, state = take.positions.copy(), take.state.copy()
     positions[span, joints] = np.nan
@@ -45,9 +43,9 @@ def hide(
     steps = np.diff(take.time[span.start - 1 : span.stop])[:, None]
     rng = np.random.default_rng(seed)
     turns = rng.normal(size=(2, len(steps), 3)) * np.sqrt(steps)
-    ways = rng.normal(size=(2, 1, 3)) + _DRIFT_TURNS * np.cumsum(turns, axis=1)
-    ways /= np.linalg.norm(ways, axis=2, keepdims=True)
-    drift = np.cumsum(_DRIFT * ways * steps, axis=1)
+    directions = rng.normal(size=(2, 1, 3)) + _DRIFT_TURNS * np.cumsum(turns, axis=1)
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    drift = np.cumsum(_DRIFT * directions * steps, axis=1)
     for j in (j for j in skeleton.order if j in joints and guess != "none"):
         base = skeleton.parents[j]
         if guess == "hang":
@@ -61,11 +59,10 @@ def hide(
             positions[span, j] += rng.normal(scale=_JITTER, size=(len(steps), 3))
         else:
             positions[span, j] += drift[int(skeleton.joints[j].endswith("Left"))]
-    # Where the sensor had no such joint before, it guesses none.
-    missing = np.any(np.isnan(positions[span][:, joints]), axis=2)
-    positions[span, joints] = np.where(
-        missing[..., None], np.nan, positions[span][:, joints]
-    )
+    # A joint that was missing before the gap, or whose parent is, gets no guess.
+    guesses = positions[span][:, joints]
+    missing = np.any(np.isnan(guesses), axis=2)
+    positions[span, joints] = np.where(missing[..., None], np.nan, guesses)
     state[span, joints] = np.where(missing, State.NOT_TRACKED, State.INFERRED)
     return replace(take, positions=positions, state=state)
 
@@ -73,19 +70,16 @@ def hide(
 def simple_guesses(
     positions: Array, skeleton: Skeleton, joints: Sequence[int], span: slice
 ) -> dict[str, Array]:
-    """Return a motion [m] with a limb as each of ``SIMPLE`` guesses it, (T, J, 3).
+    """Return the motion [m] with each of the ``SIMPLE`` guesses of a limb, (T, J, 3).
 
-    Directions of the hidden bones in the heading frame are held; are turned evenly from
-    the last seen to the next (slerp); or are smoothed by second differences through the
-    frames around the gap (Whittaker's spline). All else is as it is, also joints that
-    are missing in a frame. A smoothed motion is no place to draw a spline into: the
-    frames beside the gap have looked into it.
+    In the heading frame, the directions of the hidden bones are held, interpolated
+    from the last visible frame to the next (slerp), or smoothed by second differences
+    through the frames around the gap (Whittaker's spline). Everything else is kept,
+    and so are joints that are missing in a frame. Draw the spline into the raw take,
+    not the cleaned motion, whose frames beside the gap are smoothed with those in it.
 
-    Args:
-        positions: The motion with nothing hidden, shape (T, J, 3).
-        skeleton: Its joints.
-        joints: The hidden joints.
-        span: The frames in which they are hidden; the limb is seen before and after.
+    ``positions`` [m] have nothing hidden, shape (T, J, 3); the limb is visible in the
+    frames before and after the span, in which ``joints`` are hidden.
     """
     yaw = find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
     frame = HeadingFrame(positions[:, skeleton.root], yaw)
@@ -96,14 +90,14 @@ def simple_guesses(
         parent = skeleton.parents[j]
         bones = facing[:, j] - facing[:, parent]
         lengths = np.linalg.norm(bones, axis=1, keepdims=True)
-        found = _directions(unit(bones), span)
-        for limb, ways in zip(guessed.values(), found, strict=True):
-            limb[span, j] = limb[span, parent] + unit(ways) * lengths[span]
-    return {name: frame.restore(limb) for name, limb in guessed.items()}
+        guesses = _directions(unit(bones), span)
+        for motion, directions in zip(guessed.values(), guesses, strict=True):
+            motion[span, j] = motion[span, parent] + unit(directions) * lengths[span]
+    return {name: frame.restore(motion) for name, motion in guessed.items()}
 
 
 def _directions(seen: Array, span: slice) -> tuple[Array, Array, Array]:
-    """Return a bone's directions in a gap held, by slerp and by spline, (N, 3)."""
+    """Return a bone's directions in a gap: held, by slerp and by spline, (N, 3)."""
     first, last, count = seen[span.start - 1], seen[span.stop], span.stop - span.start
     angle = max(float(np.arccos(np.clip(first @ last, -1.0, 1.0))), 1e-6)
     part = np.arange(1, count + 1)[:, None] / (count + 1)

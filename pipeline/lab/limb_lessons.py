@@ -1,11 +1,10 @@
-"""Learns what people mostly do with a limb while it is hidden.
+"""Trains the prior for hidden limbs on recordings in which the limbs were visible.
 
 ``python -m kinefilter.pipeline.lab.limb_lessons OUT.npz RECORDINGS...`` writes the
-weights of ``reconstruct.prior`` again. Recordings are pairs files, takes, or mocap in
-BVH; limbs that were seen are taken to be hidden for a while. Then it prints, for each
-person and each third of the movements in the pairs, how far hidden limbs end from where
-they were by networks that learned from all others, in per cent of going on without
-networks.
+weights of ``reconstruct.prior``. Recordings are pairs files, takes, or mocap in BVH; in
+each, limbs are treated as hidden for random intervals. It then prints, for each person
+and each third of the movements in the pairs, the errors of networks trained without
+them, in percent of the errors without networks.
 """
 
 from __future__ import annotations
@@ -47,86 +46,101 @@ from kinefilter.pipeline.workers import workers
 
 from .database_build import mocap_body, whole_frames
 
-_SHORTEST, _LONGEST = 0.4, 4.0  # s hidden
-_CONTEXT = 6  # frames in which a limb is seen before and after
-_SAMPLES = 6  # frames of a stretch
-_FEWEST, _MOST, _FOR_EACH = 8, 240, 10  # stretches of a take, one for so many frames
-_SEEN = 0.97  # share of a stretch's frames in which each segment is seen
-_ALONE = 0.8  # share of the stretches in which the opposite limb is seen
-_TREMBLE = 0.008  # m: mocap trembles less than what a sensor sees. A guess.
+_SHORTEST, _LONGEST = 0.4, 4.0  # s for which a limb is hidden
+_CONTEXT = 6  # frames before and after a stretch in which the limb is visible
+_SAMPLES = 6  # frames per stretch
+_FEWEST, _MOST, _FRAMES_PER_STRETCH = 8, 240, 10  # stretches of a take
+_VISIBLE = 0.97  # share of a stretch's frames in which each segment must be visible
+_OPPOSITE_VISIBLE = 0.8  # share of the stretches with a visible opposite limb
+_JITTER = 0.008  # m, added to mocap, which jitters less than a sensor. A guess.
 _MOCAP_RATE = 30.0  # Hz
 # Chosen on one of six people, thirds of their movements, and other recordings.
 _LAYERS, _PENALTY, _EPOCHS, _BATCH = (128, 64), 1.0, 12, 512
-_NOISE = 0.5  # of each input's spread, lest movements be learned by heart
-_TAKEN = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
-"""How much of what the networks say is taken, for the sake of such movements."""
-_ODD = 0.1  # added to the spread of inputs, lest those that hardly vary count
+_NOISE = 0.5  # standard deviations added to each input, against overfitting
+_SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
+"""Factors of the networks' outputs, chosen on unseen movements."""
+_SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
 
 
 class Rows(NamedTuple):
-    """Frames of limbs that are taken to be hidden, told as of left ones."""
+    """Training data: frames of hidden limbs, right ones mirrored to the left."""
 
     inputs: Singles
-    """What the networks are told, shape (N, F)."""
+    """Inputs of the network, shape (N, F)."""
     base: Singles
-    """Directions of the segments as they would go on, shape (N, H, 3)."""
+    """Directions of the segments predicted without networks, shape (N, H, 3)."""
     truth: Singles
-    """Their directions, shape (N, H, 3)."""
+    """True directions of the segments, shape (N, H, 3)."""
 
 
 Lessons = dict[str, Rows]
-"""Rows by the name of the network that learns from them."""
+"""Training data by the name of the network."""
 
 
 class Lesson(NamedTuple):
-    """What a recording teaches."""
+    """Training data from one recording."""
 
     person: str
     movement: str
     rows: Lessons
 
 
-def lessons_of(take: Take, seed: int, modes: Sequence[bool]) -> Lessons:
-    """Return stretches of a take in which a limb is taken to be hidden.
+class Recording(NamedTuple):
+    """A take with the names of the person, movement and clip."""
+
+    person: str
+    movement: str
+    name: str
+    take: Take
+
+    @classmethod
+    def of(cls, pair: PairedTake) -> Recording:
+        """Return the Kinect take of a pair."""
+        return cls(pair.subject, pair.movement, pair.clip, pair.take)
+
+
+def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
+    """Hide limbs in random stretches of a recording.
 
     Args:
-        take: The recording.
-        seed: Draws the stretches.
-        modes: Whether what comes after them is known: either or both.
+        recording: The recording; its name is the random seed.
+        modes: False: only the frames before a stretch are known; True: also those
+            after it. Either or both.
     """
-    draft = Cleaner().until("measure").whole(take)
-    skeleton, rng = draft.skeleton, np.random.default_rng(seed)
-    blind = hidden_joints(draft.measured, draft.state, skeleton)
-    places = np.where(blind[..., None], np.nan, draft.measured)
-    seen = seen_motion(draft.time, places, skeleton)
-    count, found = len(places), dict[str, list[Rows]]()
+    draft = Cleaner().until("measure").whole(recording.take)
+    rng = np.random.default_rng(zlib.crc32(recording.name.encode()))
+    skeleton = draft.skeleton
+    hidden = hidden_joints(draft.measured, draft.state, skeleton)
+    visible = np.where(hidden[..., None], np.nan, draft.measured)
+    seen = seen_motion(draft.time, visible, skeleton)
+    count, parts = len(visible), list[Lessons]()
     least, most = (round(s * seen.rate) for s in (_SHORTEST, _LONGEST))
     most = min(count - 2 * _CONTEXT - 1, most)
-    stretches = min(max(_FEWEST, count // _FOR_EACH), _MOST) if most >= least else 0
+    wanted = min(max(_FEWEST, count // _FRAMES_PER_STRETCH), _MOST)
     for joints, outer in product(limbs(skeleton), (1, 2)):
         limb, alone = (_limb(seen, joints, outer, alone=a) for a in (False, True))
-        if limb is None or alone is None:
+        if limb is None or alone is None or most < least:
             continue
         known = seen.known[:, [*limb.hidden, *limb.visible]]
-        for _ in range(stretches):
+        for _ in range(wanted):
             length = int(rng.integers(least, most + 1))
             start = int(rng.integers(_CONTEXT, count - _CONTEXT - length))
-            one = limb if rng.random() < _ALONE else alone
+            one = limb if rng.random() < _OPPOSITE_VISIBLE else alone
             at = np.sort(rng.choice(length, min(_SAMPLES, length), replace=False))
             around = slice(start - _CONTEXT, start + length + _CONTEXT)
             joined = seen.joined[around][1:].all()
-            if joined and known[around].mean(axis=0).min() > _SEEN:
+            if joined and known[around].mean(axis=0).min() > _VISIBLE:
                 for ahead in modes:
-                    starts, few = np.array([start]), at[None]
-                    name, rows = _rows(Stretches(seen, one, starts, length, few, ahead))
-                    found.setdefault(name, []).append(rows)
-    return {name: _joined(rows) for name, rows in found.items()}
+                    starts = np.array([start])
+                    stretch = Stretches(seen, one, starts, length, at[None], ahead)
+                    parts.append(_rows(stretch))
+    return Lesson(recording.person, recording.movement, _concatenated(parts))
 
 
 def _limb(
     seen: Seen, joints: tuple[int, int, int], outer: int, *, alone: bool
 ) -> Limb | None:
-    """Return a limb hidden from a joint on, and its opposite too if it is alone."""
+    """Return a limb hidden from a joint outward; if alone, its opposite is as well."""
     hidden = list(joints[outer:])
     known = np.where(np.isnan(seen.lengths), np.nan, 1.0)
     if np.isnan(known[hidden]).any():
@@ -137,45 +151,47 @@ def _limb(
     return limb_of(seen.skeleton, joints, known)
 
 
-def _rows(stretch: Stretches) -> tuple[str, Rows]:
-    """Return the name of a stretch's network and what it learns."""
+def _rows(stretch: Stretches) -> Lessons:
     part, mirrored = part_of(stretch.seen.skeleton, stretch.limb)
-    found = describe(stretch)
-    base, truth = found.base[0].copy(), found.truth[0].copy()
-    if mirrored:
-        base[..., 0] *= -1.0
-        truth[..., 0] *= -1.0
-    told = (inputs_of(stretch, found)[0], base, truth)
-    return network_name(part, ahead=stretch.ahead), Rows(
-        *(a.astype(np.float32) for a in told)
+    windows = describe(stretch)
+    flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    arrays = (
+        inputs_of(stretch, windows)[0],
+        flip * windows.base[0],
+        flip * windows.truth[0],
     )
-
-
-def _joined(parts: Iterable[Rows]) -> Rows:
-    return Rows(*(np.concatenate(some) for some in zip(*parts, strict=True)))
+    rows = Rows(*(array.astype(np.float32) for array in arrays))
+    return {network_name(part, ahead=stretch.ahead): rows}
 
 
 def joined(lessons: Iterable[Lesson]) -> Lessons:
-    """Return the rows of many recordings by network."""
-    parts: dict[str, list[Rows]] = {}
-    for lesson in lessons:
-        for name, rows in lesson.rows.items():
-            parts.setdefault(name, []).append(rows)
-    return {name: _joined(rows) for name, rows in parts.items()}
+    """Return the training data of many recordings by network."""
+    return _concatenated(lesson.rows for lesson in lessons)
+
+
+def _concatenated(parts: Iterable[Lessons]) -> Lessons:
+    by_network: dict[str, list[Rows]] = {}
+    for part in parts:
+        for name, rows in part.items():
+            by_network.setdefault(name, []).append(rows)
+    return {
+        name: Rows(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True)))
+        for name, rows in by_network.items()
+    }
 
 
 def teach_limbs(lessons: Lessons) -> MotionPrior:
-    """Return the prior that rows teach."""
+    """Train a network on each set of training data."""
     return MotionPrior({name: _network(name, rows) for name, rows in lessons.items()})
 
 
 def _network(name: str, rows: Rows) -> tuple[Array, Network]:
-    there = np.isfinite(rows.inputs)
-    mean = np.mean(rows.inputs, axis=0, where=there, dtype=float)
-    spread = np.std(rows.inputs, axis=0, where=there, dtype=float) + _ODD
-    inputs = np.where(there, (rows.inputs - mean) / spread, 0.0).astype(np.float32)
-    departure = (rows.truth - rows.base).reshape(len(inputs), -1) / OUTPUT
-    taught = MLPRegressor(
+    known = np.isfinite(rows.inputs)
+    mean = np.mean(rows.inputs, axis=0, where=known, dtype=float)
+    spread = np.std(rows.inputs, axis=0, where=known, dtype=float) + _SPREAD_FLOOR
+    inputs = np.where(known, (rows.inputs - mean) / spread, 0.0).astype(np.float32)
+    change = (rows.truth - rows.base).reshape(len(inputs), -1) / OUTPUT
+    network = MLPRegressor(
         hidden_layer_sizes=_LAYERS,
         alpha=_PENALTY,
         batch_size=min(_BATCH, len(inputs)),
@@ -184,120 +200,89 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     rng = np.random.default_rng(0)
     for _ in range(_EPOCHS):
         noise = rng.normal(scale=_NOISE, size=inputs.shape).astype(np.float32)
-        taught.partial_fit(inputs + noise, departure)
-    layers = list(zip(taught.coefs_, taught.intercepts_, strict=True))
+        network.partial_fit(inputs + noise, change)
+    layers = list(zip(network.coefs_, network.intercepts_, strict=True))
     layers[0] = (layers[0][0] / spread[:, None], layers[0][1])
-    taken = _TAKEN[name.partition("_")[0]]
-    layers[-1] = (taken * layers[-1][0], taken * layers[-1][1])
+    factor = _SHRINKAGE[name.partition("_")[0]]
+    layers[-1] = (factor * layers[-1][0], factor * layers[-1][1])
     return mean, layers
 
 
-class Recording(NamedTuple):
-    """A take, and who moves how in it."""
-
-    person: str
-    movement: str
-    name: str
-    take: Take
-
-    @classmethod
-    def of(cls, pair: PairedTake) -> Recording:
-        """Return that of a clip."""
-        return cls(pair.subject, pair.movement, pair.clip, pair.take)
-
-
 def recordings_in(file: Path) -> Iterator[Recording]:
-    """Yield what is in a pairs file (.npz), mocap (.bvh) or a take."""
+    """Yield the recordings in a pairs file (.npz), mocap (.bvh) or a take."""
     name = file.name.partition(".")[0]
     if file.suffix == ".npz":
         yield from map(Recording.of, read_pairs(file))
-    elif ".bvh" in file.suffixes:
-        yield Recording(name, name, name, _seen_mocap(file, name))
     else:
-        yield Recording(name, name, name, read_take(file))
-
-
-def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
-    """Return what a recording teaches; ``modes`` as those of ``lessons_of``."""
-    person, movement, name, take = recording
-    return Lesson(person, movement, lessons_of(take, zlib.crc32(name.encode()), modes))
+        is_mocap = ".bvh" in file.suffixes
+        take = _take_of_mocap(file, name) if is_mocap else read_take(file)
+        yield Recording(name, name, name, take)
 
 
 def read_lessons(
     recordings: Iterable[Recording], modes: Sequence[bool]
 ) -> list[Lesson]:
-    """Return what recordings teach, several read side by side."""
+    """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
         read = partial(lesson_of, modes=modes)
         return list(pool.map(read, recordings, chunksize=8))
 
 
 def taught_by(pairs: Iterable[PairedTake]) -> MotionPrior:
-    """Return what limbs do in gaps after which they are seen, as clips teach it."""
-    some = (lesson_of(Recording.of(pair), (True,)) for pair in pairs)
-    return teach_limbs(joined(some))
+    """Train a prior on clips, for gaps after which the limb is visible again."""
+    return teach_limbs(joined(lesson_of(Recording.of(p), (True,)) for p in pairs))
 
 
 def knowing(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
-    """Return a cleaner in which hidden limbs do what a prior says.
-
-    One that reconstructs no limbs is returned as it is.
-    """
+    """Return the cleaner with a prior for hidden limbs, if it reconstructs them."""
     if all(stage.name != Reconstruct.name for stage in cleaner.stages):
         return cleaner
     return cleaner.replaced(Reconstruct(config, prior))
 
 
-def _seen_mocap(file: Path, name: str) -> Take:
-    """Return mocap as a sensor might see it."""
+def _take_of_mocap(file: Path, name: str) -> Take:
+    """Return mocap as a take of a sensor with jitter."""
     mocap = read_mocap(file, [])
     positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
-    unit_length, _ = mocap_body(positions, KINECT_V1)
+    meters, _ = mocap_body(positions, KINECT_V1)
     step = max(1, round(1.0 / (_MOCAP_RATE * mocap.frame_time)))
-    # The first frame of many a file is a T-pose.
-    positions = (
-        unit_length * positions[np.flatnonzero(whole_frames(positions))[1::step]]
-    )
+    # The first frame is skipped, because it often is a T-pose.
+    frames = np.flatnonzero(whole_frames(positions))[1::step]
+    positions = meters * positions[frames]
     rng = np.random.default_rng(zlib.crc32(name.encode()))
-    positions += rng.normal(scale=_TREMBLE, size=positions.shape)
+    positions += rng.normal(scale=_JITTER, size=positions.shape)
     time = np.arange(float(len(positions))) * step * mocap.frame_time
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
     return Take(time, positions, state, KINECT_V1, str(file))
 
 
 def worth(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
-    """Return errors of directions by each network, in per cent of those without."""
-    found = {}
+    """Return each network's error of directions, in percent of that without it."""
+    percent = {}
     for name, rows in lessons.items():
-        said = prior.change(name, rows.inputs.astype(float)).reshape(rows.base.shape)
-        errors = [
-            np.linalg.norm(unit(d) - rows.truth, axis=-1).mean()
-            for d in (rows.base + said, rows.base.astype(float))
-        ]
-        found[name] = round(float(errors[0] / errors[1] * 100), 1)
-    return found
-
-
-def _without(some: set[str], lessons: Sequence[Lesson]) -> dict[str, float]:
-    """Return what networks are worth to some people or movements left out."""
-    mine = [one for one in lessons if some & {one.person, one.movement}]
-    others = [one for one in lessons if not some & {one.person, one.movement}]
-    return worth(teach_limbs(joined(others)), joined(mine))
+        change = prior.change(name, rows.inputs.astype(float)).reshape(rows.base.shape)
+        error, plain = (
+            np.linalg.norm(unit(directions) - rows.truth, axis=-1).mean()
+            for directions in (rows.base + change, rows.base.astype(float))
+        )
+        percent[name] = round(float(error / plain * 100), 1)
+    return percent
 
 
 def main(out: Path, files: Sequence[str]) -> None:
-    """Learn from recordings, write the weights, and print what they are worth."""
+    """Train on recordings, write the weights, and print the errors by ``worth``."""
     recordings = [r for file in files for r in recordings_in(Path(file))]
     lessons = read_lessons(recordings, (False, True))
     write_arrays(out, teach_limbs(joined(lessons)).arrays())
     pairs = [Path(file) for file in files if file.endswith(".npz")]
     people = sorted({one.person for file in pairs for one in recordings_in(file)})
     movements = sorted({one.movement for one in lessons if one.person in people})
-    left_out = [{person} for person in people] + [
-        set(movements[k::3]) for k in range(3)
-    ]
-    for some in left_out:
-        print(", ".join(sorted(some)), _without(some, lessons), flush=True)
+    thirds = [set(movements[k::3]) for k in range(3)]
+    for names in (*({person} for person in people), *thirds):
+        left_out = [one for one in lessons if names & {one.person, one.movement}]
+        others = [one for one in lessons if not names & {one.person, one.movement}]
+        percent = worth(teach_limbs(joined(others)), joined(left_out))
+        print(", ".join(sorted(names)), percent, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""Joint centers from the markers on a body, by a table in TOML.
+"""Joint centers from body markers, located by a table in TOML.
 
-``embedded/plug_in_gait.toml`` is the table for Vicon's Plug-in Gait, and says how
-tables are written. Mocap that has joints already, as BVH and AMC do, needs no table.
+``embedded/plug_in_gait.toml`` is the table for Vicon's Plug-in Gait and documents the
+format. Mocap that contains joints, such as BVH and AMC, needs no table.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,19 @@ from kinefilter.characters.arrays import Array, shown
 from kinefilter.pipeline.formats.files import AnyPath, read_toml
 from kinefilter.pipeline.formats.mocap import RIGS, find_unit, kinect_motion
 from kinefilter.pipeline.formats.recording import Mocap
+from kinefilter.pipeline.reliability import column_medians
 from kinefilter.retarget.rig_map import listed
 
 PLUG_IN_GAIT = Path(__file__).parent / "embedded" / "plug_in_gait.toml"
-
 _AXES = ("left", "up", "forward")  # x, y, z
-_JOINT = {"at", "frame", "offset", "times"}
-_WRITE = "write it like pipeline/lab/embedded/plug_in_gait.toml"
-_FARTHEST = 2.0  # of an offset, in m or in shares: no joint is that far from a marker
+_JOINT_KEYS = {"at", "frame", "offset", "times"}
+_EXAMPLE = "see pipeline/lab/embedded/plug_in_gait.toml for an example"
+_LARGEST = (
+    2.0  # offset, in m or relative to "times": joints are closer to their markers
+)
 
 Points = tuple[str, ...]
-"""Names of markers or joints, of which the mean is meant."""
+"""Names of markers or joints, standing for the mean of their positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,19 +40,19 @@ class _Joint:
     at: Points
     frame: str | None
     offset: Array  # shape (3,)
-    times: Points  # two points, or none
+    times: Points  # the offset is in multiples of their distance; two or none
 
 
 @dataclass(frozen=True)
 class MarkerSet:
-    """A table of where joints lie among markers."""
+    """A table that locates joints relative to markers."""
 
     source: str
     """The file."""
     frames: Mapping[str, Mapping[str, tuple[Points, Points]]]
-    """From where to where two of left, up and forward go, for each part of a body."""
+    """Start and end of two of the axes left, up and forward, per part of the body."""
     joints: Mapping[str, Mapping[str, _Joint]]
-    """For each skeleton, its joints in the order in which they are found."""
+    """Joints per skeleton, in the order in which they are computed."""
 
     def centers(
         self, markers: Mapping[str, Array], skeleton: Skeleton, *, offsets: bool = True
@@ -57,34 +60,34 @@ class MarkerSet:
         """Return joint positions, NaN where a marker is missing, shape (T, J, 3).
 
         Args:
-            markers: Positions of each marker, in m if there are offsets, (T, 3).
-            skeleton: Whose joints to find.
-            offsets: False: joints lie at the mean of their markers.
+            markers: Positions of each marker, shape (T, 3), in meters if there are
+                offsets.
+            skeleton: The joints to compute.
+            offsets: If False, joints lie at the mean of their markers.
         """
-        points = dict(markers)
-        count = len(next(iter(points.values())))
+        count = len(next(iter(markers.values())))
+        points = defaultdict(lambda: np.full((count, 3), np.nan), markers)
         positions = np.full((count, len(skeleton), 3), np.nan)
         for name, joint in self.joints[skeleton.name].items():
-            place = _mean(points, joint.at, count)
+            place = _mean(points, joint.at)
             if offsets and joint.frame is not None:
                 scale = 1.0
                 if joint.times:
-                    one, other = (_mean(points, (p,), count) for p in joint.times)
-                    scale = _median(np.linalg.norm(one - other, axis=1))
-                axes = self._axes(joint.frame, points, count)
-                place = place + scale * (joint.offset @ axes)
+                    apart = points[joint.times[0]] - points[joint.times[1]]
+                    lengths = np.linalg.norm(apart, axis=1, keepdims=True)
+                    scale = float(column_medians(lengths)[0])
+                place = place + scale * (joint.offset @ self._axes(joint.frame, points))
             points[name] = positions[:, skeleton.index(name)] = place
         return positions
 
-    def _axes(self, frame: str, points: Mapping[str, Array], count: int) -> Array:
+    def _axes(self, frame: str, points: Mapping[str, Array]) -> Array:
         """Return left, up and forward of a part of the body, shape (T, 3, 3)."""
         axes: dict[str, Array] = {}
-        for axis, ends in self.frames[frame].items():
-            start, end = (_mean(points, some, count) for some in ends)
-            along = end - start
+        for axis, (start, end) in self.frames[frame].items():
+            along = _mean(points, end) - _mean(points, start)
             for kept in axes.values():
                 along = along - np.sum(along * kept, axis=1, keepdims=True) * kept
-            with np.errstate(invalid="ignore"):  # where both ends are in one place
+            with np.errstate(invalid="ignore"):  # where both ends coincide
                 axes[axis] = along / np.linalg.norm(along, axis=1, keepdims=True)
         (third,) = set(_AXES) - set(axes)
         k = _AXES.index(third)
@@ -93,13 +96,13 @@ class MarkerSet:
 
 
 def read_marker_set(path: AnyPath = PLUG_IN_GAIT) -> MarkerSet:
-    """Read a table; raises InputError where it is malformed."""
+    """Read a table; raises an InputError if it is malformed."""
     source = os.fspath(path)
-    table = read_toml(path, _WRITE)
+    table = read_toml(path, _EXAMPLE)
     parts = {"frames", "limbs", *SKELETONS}
     if not set(table) <= parts or not all(isinstance(t, dict) for t in table.values()):
         raise InputError(
-            f"{source}: expected tables {', '.join(sorted(parts))}; {_WRITE}"
+            f"{source}: expected tables {', '.join(sorted(parts))}; {_EXAMPLE}"
         )
     frames = {
         name: _frame(row, f"{source}: frame {shown(name)}")
@@ -108,10 +111,8 @@ def read_marker_set(path: AnyPath = PLUG_IN_GAIT) -> MarkerSet:
     joints: dict[str, dict[str, _Joint]] = {}
     for skeleton in SKELETONS.values():
         joints[skeleton.name] = {}
-        for name, row in {
-            **table.get("limbs", {}),
-            **table.get(skeleton.name, {}),
-        }.items():
+        rows = table.get("limbs", {}) | table.get(skeleton.name, {})
+        for name, row in rows.items():
             where = f"{source}: joint {shown(name)}"
             if name not in skeleton.joints:
                 raise InputError(f"{where}: {skeleton.name} has no such joint")
@@ -122,13 +123,13 @@ def read_marker_set(path: AnyPath = PLUG_IN_GAIT) -> MarkerSet:
 def joint_centers(
     mocap: Mocap, skeleton: Skeleton, table: MarkerSet | None = None
 ) -> Mocap:
-    """Return mocap whose points are a Kinect's joints, in meters, NaN where missing.
+    """Return mocap with the joints of a Kinect skeleton, in meters, NaN where missing.
 
     Args:
-        mocap: Markers, or joints with names that ``retarget/source_rigs`` knows.
-        skeleton: Whose joints to find.
-        table: Where joints lie among the markers; by default mocap has joints or the
-            markers of Plug-in Gait.
+        mocap: Markers, or joints with names from ``retarget/source_rigs``.
+        skeleton: The joints to compute.
+        table: Locates joints among the markers; by default the mocap has joints, or
+            the markers of Plug-in Gait.
 
     Raises:
         InputError: The mocap has neither, or no unit of length fits.
@@ -136,8 +137,8 @@ def joint_centers(
     positions, unit, meters = _joints(mocap, skeleton, table)
     if not unit:
         raise InputError(
-            f"{mocap.source}: no unit of length makes these a person's bones; export "
-            "it again in meters or millimeters"
+            f"{mocap.source}: in no unit of length are these the bones of a person; "
+            "export the file in meters or millimeters"
         )
     return Mocap(
         skeleton.joints, meters * positions, None, mocap.frame_time, mocap.source
@@ -147,7 +148,7 @@ def joint_centers(
 def _joints(
     mocap: Mocap, skeleton: Skeleton, table: MarkerSet | None
 ) -> tuple[Array, str, float]:
-    """Return joints in the file's unit, the unit and its length [m]."""
+    """Return joints in the file's unit, the unit's name and its length [m]."""
     if table is None:
         try:
             motion = kinect_motion(mocap, skeleton, RIGS)
@@ -165,8 +166,8 @@ def _joints(
         joints = table.joints[skeleton.name]
         needed = {n for h in skeleton.hips for n in joints[skeleton.joints[h]].at}
         raise InputError(
-            f"{mocap.source}: no hips; {table.source} finds them from the markers "
-            f"{listed(sorted(needed))}, and the file has "
+            f"{mocap.source}: no hips; {table.source} locates them by the markers "
+            f"{listed(sorted(needed))}, but the file has "
             f"{listed(mocap.bare_names)}; give a table of its markers (--markers)"
         )
     unit, meters = find_unit(found, skeleton, mocap.source)
@@ -174,27 +175,20 @@ def _joints(
     return table.centers(scaled, skeleton) / meters, unit, meters
 
 
-def _mean(points: Mapping[str, Array], names: Sequence[str], count: int) -> Array:
-    missing = np.full((count, 3), np.nan)
-    return np.asarray(np.mean([points.get(name, missing) for name in names], axis=0))
+def _mean(points: Mapping[str, Array], names: Points) -> Array:
+    return np.asarray(np.mean([points[name] for name in names], axis=0))
 
 
-def _median(lengths: Array) -> float:
-    known = lengths[~np.isnan(lengths)]
-    return float(np.median(known)) if len(known) else float("nan")
-
-
-def _points(value: object, where: str) -> Points:
-    if not isinstance(value, list) or not value:
-        raise InputError(f"{where}: expected a list of names, not {shown(value)}")
-    if not all(isinstance(name, str) for name in value):
-        raise InputError(f"{where}: expected names, not {shown(value)}")
+def _points(value: Any, where: str) -> Points:
+    valid = isinstance(value, list) and all(isinstance(name, str) for name in value)
+    if not valid or not value:
+        raise InputError(f"{where}: expected a list of names, got {shown(value)}")
     return tuple(value)
 
 
 def _frame(row: Any, where: str) -> dict[str, tuple[Points, Points]]:
     if not isinstance(row, dict) or len(row) != 2 or not set(row) <= set(_AXES):
-        raise InputError(f"{where}: expected two of {', '.join(_AXES)}; {_WRITE}")
+        raise InputError(f"{where}: expected two of {', '.join(_AXES)}; {_EXAMPLE}")
     frame = {}
     for axis, ends in row.items():
         if not isinstance(ends, list) or len(ends) != 2:
@@ -204,26 +198,28 @@ def _frame(row: Any, where: str) -> dict[str, tuple[Points, Points]]:
 
 
 def _joint(row: Any, frames: Mapping[str, object], where: str) -> _Joint:
-    if not isinstance(row, dict) or not {"at"} <= set(row) <= _JOINT:
+    if not isinstance(row, dict) or not {"at"} <= set(row) <= _JOINT_KEYS:
         raise InputError(f"{where}: expected at, and at most frame, offset and times")
     frame, offset, times = row.get("frame"), row.get("offset"), row.get("times")
     if (frame is None) != (offset is None) or (times is not None and frame is None):
-        raise InputError(f"{where}: an offset needs a frame, and a frame an offset")
+        raise InputError(
+            f"{where}: offset needs a frame and vice versa, times needs both"
+        )
     if frame is not None and not (isinstance(frame, str) and frame in frames):
         raise InputError(
-            f"{where}: unknown frame {shown(frame)}; expected {listed([*frames])}"
+            f"{where}: unknown frame {shown(frame)}; known: {listed([*frames])}"
         )
     numbers = [0.0, 0.0, 0.0] if offset is None else offset
     if (
         not isinstance(numbers, list)
         or len(numbers) != 3
-        or not all(type(n) in (int, float) and abs(n) < _FARTHEST for n in numbers)
+        or not all(type(n) in (int, float) and abs(n) < _LARGEST for n in numbers)
     ):
         raise InputError(
             f"{where}: offset is {shown(offset)}, expected three numbers under "
-            f"{_FARTHEST:g}: to the left, up and forward"
+            f"{_LARGEST:g}: left, up and forward"
         )
     between = () if times is None else _points(times, where)
     if len(between) not in (0, 2):
-        raise InputError(f"{where}: times needs two names, not {shown(times)}")
+        raise InputError(f"{where}: times needs two names, got {shown(times)}")
     return _Joint(_points(row["at"], where), frame, np.array(numbers, float), between)

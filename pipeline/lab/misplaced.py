@@ -1,11 +1,11 @@
-"""How likely a limb's joint is somewhere else than the sensor says.
+"""Scores how likely a limb's joint is far from where the sensor places it.
 
-A sensor that does not see a limb still places it: it lets it hang, freezes it, drifts,
-or jumps between two guesses. A logistic regression tells this from what the limb does
-and from where the sensor stands. It was learned where a second sensor, in front of the
-person, saw the joints that the first one, beside the person, got wrong by more than 12
-cm. How likely it is depends on how often the sensor is wrong at all, which is much
-rarer from the front: it ranks joints, and no stage takes it for a probability yet.
+A sensor still reports a limb that it does not see: hanging, frozen, drifting or jumping
+between two guesses. A logistic regression recognizes this from the limb's motion and
+from the sensor's view. It was trained on people in front of two sensors, of which the
+frontal one showed which joints of the side-on one were off by more than 12 cm. The
+scores rank joints and are not calibrated: errors are much rarer in frontal views. No
+stage of cleaning uses them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
-"""The joints that are judged, and where their limbs begin."""
+"""The scored joints, and the first joints of their limbs."""
 FEATURES = (
     "own length",
     "length before",
@@ -46,77 +46,71 @@ FEATURES = (
     "farther than other",
 )
 _SIDES = ("Left", "Right")
-_SHORT, _MIDDLE, _LONG = 1.0 / 3.0, 0.5, 1.0  # s that features look at
-_FASTEST, _SHARPEST = 10.0, 300.0  # m/s and m/s^2: more says no more
-_TRUNK = 0.25  # m from the trunk's middle line, at which it begins to hide something
-_FARTHEST = 0.5  # m: other limbs that are farther off hide nothing
+_SHORT, _MIDDLE, _LONG = 1.0 / 3.0, 0.5, 1.0  # s, windows of the features
+_FASTEST, _SHARPEST = 10.0, 300.0  # m/s and m/s^2 at which features are clipped
+_TRUNK = 0.25  # m from the trunk's middle line within which it may hide a joint
+_FARTHEST = 0.5  # m beyond which the opposite limb hides nothing
 
 
 def misplaced(take: Take) -> Array:
-    """Return how likely each joint is 12 cm or more off, in [0, 1], shape (T, J).
+    """Return a score in [0, 1] of each joint being 12 cm or more off, shape (T, J).
 
-    0 for joints that are not judged: all but elbows, wrists, knees and ankles.
+    It is 0 for joints other than elbows, wrists, knees and ankles.
     """
-    found = np.zeros(take.positions.shape[:2])
+    scores = np.zeros(take.positions.shape[:2])
     path = resources.files("kinefilter.pipeline.lab").joinpath("misplaced.toml")
     weights = tomllib.loads(path.read_text("utf-8"))
-    time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
-    distinct = Take(time, take.positions[first], take.state[first], take.skeleton)
-    features = describe_limbs(distinct)[frames]
+    features = describe_limbs(take)
     for part in PARTS:
         bias, *scales = weights[part]
         for side in _SIDES:
             j = take.skeleton.index(part + side)
-            found[:, j] = expit(bias + features[:, j] @ np.array(scales))
-    return found
+            scores[:, j] = expit(bias + features[:, j] @ np.array(scales))
+    return scores
 
 
 def describe_limbs(take: Take) -> Array:
-    """Return FEATURES of each joint, 0 for those not judged, shape (T, J, F).
-
-    Args:
-        take: The recording, with strictly increasing time stamps.
-    """
-    skeleton, step = take.skeleton, nominal_step(take.time)
-    count, joints = take.positions.shape[:2]
-    features = np.zeros((count, joints, len(FEATURES)))
-    positions = _filled(take.positions)
-    yaw = find_yaw(positions, np.ones((count, joints)), skeleton)
+    """Return the FEATURES of each joint, 0 for joints not scored, shape (T, J, F)."""
+    time, first, rows = np.unique(take.time, return_index=True, return_inverse=True)
+    skeleton, step = take.skeleton, nominal_step(time)
+    positions = _filled(take.positions[first])
+    features = np.zeros((*positions.shape[:2], len(FEATURES)))
+    yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
     yaw = np.where(np.isnan(yaw), 0.0, yaw)
     root = positions[:, skeleton.root]
     placed = HeadingFrame(root, yaw).remove(positions)
-    turned = yaw - np.arctan2(-root[:, 0], -root[:, 2])  # to the left of the sensor
-    elapsed = np.diff(take.time, prepend=take.time[0] - step)[:, None, None]
+    turned = yaw - np.arctan2(-root[:, 0], -root[:, 2])  # 0 facing the sensor
+    elapsed = np.diff(time, prepend=time[0] - step)[:, None, None]
     velocity = np.diff(placed, axis=0, prepend=placed[:1]) / elapsed
     change = np.diff(velocity, axis=0, prepend=velocity[:1]) / elapsed
     speed = np.minimum(np.linalg.norm(velocity, axis=2), _FASTEST)
-    sharp = np.minimum(np.linalg.norm(change, axis=2), _SHARPEST)
+    acceleration = np.minimum(np.linalg.norm(change, axis=2), _SHARPEST)
 
     def frames(seconds: float) -> int:
         return max(round(seconds / step), 1)
 
+    def averaged(values: Array, seconds: float) -> Array:
+        return np.asarray(uniform_filter1d(values, frames(seconds), axis=0))
+
     bones = positions - positions[:, skeleton.parents]
     lengths = np.maximum(np.linalg.norm(bones, axis=2), 1e-3)
     ratio = np.log(lengths / np.median(lengths, axis=0))
-    mean, square = (
-        uniform_filter1d(x, frames(_MIDDLE), axis=0) for x in (ratio, ratio**2)
-    )
-    trembles = np.sqrt(np.maximum(square - mean**2, 0.0))
-    average, bends = (
-        uniform_filter1d(x, frames(_LONG), axis=0) for x in (speed, sharp)
-    )
+    variance = averaged(ratio**2, _MIDDLE) - averaged(ratio, _MIDDLE) ** 2
+    length_jitter = np.sqrt(np.maximum(variance, 0.0))
+    mean_speed = averaged(speed, _LONG)
+    mean_acceleration = averaged(acceleration, _LONG)
     leap = maximum_filter1d(speed, frames(_SHORT), axis=0)
     away = np.linalg.norm(positions, axis=2)
     rays = positions / np.maximum(away, 1e-6)[..., None]
     cover = _behind_trunk(positions, rays, skeleton)
     for part, top in PARTS.items():
-        for k, side in enumerate(_SIDES):
-            j, other = (skeleton.index(part + s) for s in (side, _SIDES[1 - k]))
-            begin, opposite = (skeleton.index(top + s) for s in (side, _SIDES[1 - k]))
+        for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+            j, begin = skeleton.index(part + side), skeleton.index(top + side)
+            other, opposite = skeleton.mirror[[j, begin]]
             before, beyond = skeleton.parents[j], skeleton.children[j][0]
-            outwards = np.array([1.0 - 2.0 * k, 1.0, 1.0])
+            outwards = np.array([sign, 1.0, 1.0])
             middle = before if before != begin else j
-            far = outwards[0] * np.sin(turned)
+            far = sign * np.sin(turned)
             reach = (placed[:, j] - placed[:, begin]) * outwards
             mirrored = (placed[:, other] - placed[:, opposite]) * [-1.0, 1.0, 1.0]
             along = unit(positions[:, middle] - positions[:, begin])
@@ -125,9 +119,9 @@ def describe_limbs(take: Take) -> Array:
                     np.abs(ratio[:, j]),
                     np.abs(ratio[:, before]),
                     np.abs(ratio[:, beyond]),
-                    trembles[:, j],
-                    average[:, j],
-                    bends[:, j] / 30.0,
+                    length_jitter[:, j],
+                    mean_speed[:, j],
+                    mean_acceleration[:, j] / 30.0,
                     leap[:, j],
                     np.maximum(far, 0.0),
                     np.maximum(-far, 0.0),
@@ -135,7 +129,7 @@ def describe_limbs(take: Take) -> Array:
                     -unit(bones[:, j])[:, 1],
                     np.vecdot(unit(bones[:, j]), along),
                     cover[:, j],
-                    _behind_limb(positions, rays, away, j, _SIDES[1 - k], skeleton),
+                    _behind_limb(positions, rays, away, j, skeleton),
                     np.maximum(-reach[:, 0], 0.0),
                     reach[:, 2],
                     np.linalg.norm(reach - mirrored * outwards, axis=1),
@@ -143,33 +137,38 @@ def describe_limbs(take: Take) -> Array:
                 ],
                 axis=1,
             )
-    return features
+    return features[rows]
 
 
 def _behind_trunk(positions: Array, rays: Array, skeleton: Skeleton) -> Array:
-    """Return how near to the trunk's middle line joints are seen, in [0, 1], (T, J)."""
+    """Return how close to the trunk's middle line joints appear, in [0, 1], (T, J)."""
     root = positions[:, None, skeleton.root]
     up = positions[:, None, skeleton.girdle] - root
     share = np.vecdot(positions - root, up) / np.maximum(np.vecdot(up, up), 1e-9)
     middle = root + np.clip(share, 0.0, 1.0)[..., None] * up
-    off = np.linalg.norm(middle - rays * np.vecdot(middle, rays)[..., None], axis=2)
-    return np.asarray(np.clip(1.0 - off / _TRUNK, 0.0, 1.0))
+    return np.asarray(np.clip(1.0 - _distances(middle, rays) / _TRUNK, 0.0, 1.0))
 
 
 def _behind_limb(
-    positions: Array, rays: Array, away: Array, j: int, side: str, skeleton: Skeleton
+    positions: Array, rays: Array, away: Array, j: int, skeleton: Skeleton
 ) -> Array:
-    """Return how far from the nearest joint before it a joint is seen [m], (T,)."""
+    """Return how close a joint appears to nearer joints of the other side [m], (T,)."""
+    side = "Right" if skeleton.joints[j].endswith("Left") else "Left"
     names = ("Elbow", "Wrist", "Hand", "Knee", "Ankle")
     others = [skeleton.index(name + side) for name in names]
-    there, ray = positions[:, others], rays[:, None, j]
-    off = np.linalg.norm(there - ray * np.vecdot(there, ray)[..., None], axis=2)
+    off = _distances(positions[:, others], rays[:, None, j])
     off = np.where(away[:, others] < away[:, None, j], off, _FARTHEST)
     return np.asarray(np.minimum(off.min(axis=1), _FARTHEST))
 
 
+def _distances(points: Array, rays: Array) -> Array:
+    """Return distances of points from the sensor's rays [m]."""
+    along = rays * np.vecdot(points, rays)[..., None]
+    return np.asarray(np.linalg.norm(points - along, axis=2))
+
+
 def _filled(positions: Array) -> Array:
-    """Return positions whose missing frames are those before, or 0 where never."""
+    """Fill missing positions with the last known ones, or with 0 before those."""
     rows = np.arange(len(positions))[:, None]
     known = ~np.isnan(positions[..., 0])
     last = np.maximum.accumulate(np.where(known, rows, 0), axis=0)

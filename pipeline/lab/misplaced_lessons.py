@@ -1,7 +1,7 @@
-"""Learns to tell misplaced limbs, from people whom two sensors saw at the same time.
+"""Trains the scores of misplaced limbs on people in front of two sensors.
 
 ``python -m kinefilter.pipeline.lab.misplaced_lessons FOLDER OUT.toml`` writes the
-weights of ``misplaced`` again; FOLDER holds sessions as ``evaluate --views`` reads.
+weights of ``misplaced``; FOLDER holds sessions as for ``evaluate --views``.
 """
 
 from __future__ import annotations
@@ -13,52 +13,47 @@ from pathlib import Path
 import numpy as np
 from sklearn.linear_model import LogisticRegression
 
-from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags
 
 from .misplaced import FEATURES, PARTS, describe_limbs
 from .two_views import FAR, LIMBS, Session, away_from, find_sessions, read_views
 
-_SHRINKAGE = 0.1  # C of the regression
+_INVERSE_PENALTY = 0.1  # C of the regression
 
 
 def lessons(
     sessions: Sequence[Session],
 ) -> dict[str, tuple[Array, Flags, Array]]:
-    """Return features, whether the joint was wrong, and the session, by kind of joint.
+    """Return training data for each kind of joint.
 
-    Only frames in which the sensor in front is not in doubt itself.
+    Returns:
+        Features, shape (N, F), whether the joint was wrong, and the name of the
+        session, for frames in which the frontal sensor is reliable itself.
     """
-    rows: dict[str, list[tuple[Array, Array, str]]] = {part: [] for part in PARTS}
+    rows: dict[str, list[tuple[Array, Array, Array]]] = {part: [] for part in PARTS}
     for session in sessions:
         side, frames, truth, sure, *_ = read_views(session)
         away = away_from(side.positions[frames], truth, side.skeleton)
-        _, first, rows_of = np.unique(side.time, return_index=True, return_inverse=True)
-        distinct = Take(
-            side.time[first], side.positions[first], side.state[first], side.skeleton
-        )
-        features = describe_limbs(distinct)[rows_of][frames]
+        features = describe_limbs(side)[frames]
         for k, joints in enumerate(LIMBS.values()):
             for joint in joints:
                 j = side.skeleton.index(joint)
                 part = joint.removesuffix("Left").removesuffix("Right")
                 kept = sure[:, k] & ~np.isnan(away[:, j])
                 wrong = away[kept, j] > FAR
-                rows[part].append((features[kept, j], wrong, session.name))
-    return {
-        part: (
-            np.concatenate([f for f, _, _ in found]),
-            np.concatenate([w for _, w, _ in found]),
-            np.concatenate([np.repeat(name, len(w)) for _, w, name in found]),
-        )
-        for part, found in rows.items()
-    }
+                names = np.repeat(session.name, len(wrong))
+                rows[part].append((features[kept, j], wrong, names))
+    data = {}
+    for part, found in rows.items():
+        features, wrong, names = (np.concatenate(x) for x in zip(*found, strict=True))
+        data[part] = (features, wrong, names)
+    return data
 
 
 def fit(features: Array, wrong: Flags) -> list[float]:
-    """Return a bias and a weight for each feature, to four digits."""
+    """Return a bias and a weight of each feature, to four digits."""
     mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-3
-    model = LogisticRegression(C=_SHRINKAGE, max_iter=500)
+    model = LogisticRegression(C=_INVERSE_PENALTY, max_iter=500)
     model.fit((features - mean) / spread, wrong)
     weights = model.coef_[0] / spread
     bias = float(model.intercept_[0] - weights @ mean)
@@ -66,7 +61,7 @@ def fit(features: Array, wrong: Flags) -> list[float]:
 
 
 def learn_misplaced(sessions: Sequence[Session], path: Path) -> None:
-    """Write the weights that ``failures.misplaced`` reads (TOML)."""
+    """Write the weights that ``misplaced`` reads (TOML)."""
     lines = [f"# bias, then: {', '.join(FEATURES)}"]
     for part, (features, wrong, _) in lessons(sessions).items():
         lines.append(f"{part} = {fit(features, wrong)}")
