@@ -234,21 +234,22 @@ def join_cases(pairs: Sequence[PairedTake], context: Context) -> Iterator[Case]:
             np.concatenate([take.state for take in takes]),
             takes[0].skeleton,
             takes[0].source,
+            by_kinect=takes[0].by_kinect,
         )
         yield Case(joined, list(zip(group, starts, strict=False))[1::3])
 
 
 def _cleaned(
     take: Take, unhidden: Take, cleaner: Cleaner, options: HiddenLimbs
-) -> tuple[Array, Array | None, float]:
-    """Return the clip's joint positions [m], their uncertainty, and the tilt."""
+) -> tuple[Array, Array | None, tuple[float, float]]:
+    """Return the clip's joint positions [m], their uncertainty, and tilt and roll."""
     if not options.live:
         clip = cleaner.clean(take).clip
-        return clip.positions, clip.uncertainty, clip.tilt
+        return clip.positions, clip.uncertainty, (clip.tilt, clip.roll)
     cleaner.start(measure_body(unhidden))
     frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
     positions = np.array([cleaner.step(*frame).positions for frame in frames])
-    return positions, None, 0.0
+    return positions, None, (0.0, 0.0)
 
 
 def _measure(
@@ -263,7 +264,7 @@ def _measure(
         cleaner = knowing(cleaner, system.config, prior)
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
-        seen, _, tilt = _cleaned(take, take, cleaner, options)
+        seen, _, turn = _cleaned(take, take, cleaner, options)
         for gap, limb in product(options.gaps, options.limbs):
             spans = [(*h, s) for h in case.hidden if (s := middle(h[0].take, gap))]
             if not spans:
@@ -285,7 +286,7 @@ def _measure(
                 rows = slice(start, start + len(pair.take))
                 motions = simple_guesses(seen[rows], skeleton, joints, span)
                 motions |= {"spline": spline[rows], method: cleaned[rows]}
-                motions |= {"seen": seen[rows], "mocap": leveled(pair.truth, tilt)}
+                motions |= {"seen": seen[rows], "mocap": leveled(pair.truth, *turn)}
                 limbs = {}
                 for name, motion in motions.items():
                     hips = motion[span][:, skeleton.hips].mean(1, keepdims=True)
