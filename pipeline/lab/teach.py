@@ -1,4 +1,4 @@
-"""Teaching the methods that learn."""
+"""Training of the methods that learn from pairs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .methods.lessons import Learner, TrainingSet
 from .simulate import simulated_pairs
 from .training import training_set
 
-_SIMULATED = 102  # people beside the recorded ones: every motion twice
+_SIMULATED = 102  # people besides the recorded ones: two per motion
 
 
 def teach(
@@ -28,15 +28,15 @@ def teach(
     settings: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> LearnedCorrector:
-    """Return a method that learned from pairs.
+    """Return a method trained on pairs; ``learned`` also on simulated people.
 
-    ``learned`` learns from simulated people as well, the same ones every time.
+    The simulated people are the same every time.
 
     Args:
-        method: Its name.
+        method: Name of the method.
         lessons: The pairs.
-        views: People whom two sensors saw, as ``view_pairs`` gives them.
-        people: Learn what each person has alone, too.
+        views: Training data of two sensors' sessions, see ``view_pairs``.
+        people: Learn the individual offsets of each person too.
         settings: Keywords of the method's constructor.
         progress: Wraps its loops, for a progress bar.
 
