@@ -175,12 +175,9 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
             f"of their bones changed by over {_STRETCHED:.0%}"
         )
     _check_size(take, positions, both)
-    common = [
-        j
-        for j in [skeleton.index(joint) for joint in LIMBS]
-        if not np.isnan(take.positions[:, j]).all()
-        and not np.isnan(positions[:, j]).all()
-    ]
+    sides = take.positions, positions
+    known = np.all([~np.isnan(side).all(axis=(0, 2)) for side in sides], axis=0)
+    common = [j for j in map(skeleton.index, LIMBS) if known[j]]
     if len(common) < _FEWEST_JOINTS:
         raise InputError(
             f"{both}: have {len(common)} joints of the limbs in common, expected "

@@ -27,13 +27,6 @@ from kinefilter.scenes.sensor import (
 
 from .recorded_acts import mocap_act
 
-_IN_SCENE = {
-    "basketball": "basketball",
-    "box": "lift_box",
-    "chair": "chair",
-    "flip_chart": "flip_chart",
-    "office": "office",
-}
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 _OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
 _IN_THE_WAY = ("office", "flip_chart", "box")
@@ -47,6 +40,8 @@ _HANDLED = (
     ("office", "office"),
 )
 """Scenes, and motions that use their props."""
+_IN_SCENE = dict(reversed(_HANDLED))
+"""Default motion of each scene: the first of those above."""
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that would pass through props, or need one."""
 _AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all

@@ -120,13 +120,8 @@ def as_step(every: int) -> int:
 class School:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
-    Args:
-        train: Training clips.
-        skeleton: Skeleton of the takes.
-        people: Learn the individual offsets of each person too, as the same people will
-            be tested.
-        database: Natural postures, for all methods except ``default``.
-        progress: Wraps the loops, for a progress bar.
+    With ``people`` they also learn each person's own offsets, for tests on the same
+    people. All methods except ``default`` take their postures from ``database``.
     """
 
     def __init__(

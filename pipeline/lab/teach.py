@@ -28,17 +28,12 @@ def teach(
     settings: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> LearnedCorrector:
-    """Return a method trained on pairs; ``learned`` also on simulated people.
+    """Return a method trained on pairs.
 
-    The simulated people are the same every time.
-
-    Args:
-        method: Name of the method.
-        lessons: The pairs.
-        views: Training data of two sensors' sessions, see ``view_pairs``.
-        people: Learn the individual offsets of each person too.
-        settings: Keywords of the method's constructor.
-        progress: Wraps its loops, for a progress bar.
+    ``learned`` is also trained on simulated people, always the same ones, and on
+    ``views``, the sessions of two sensors (see ``view_pairs``); with ``people`` it
+    learns each person's own offsets too. ``settings`` are keywords of the constructors
+    of the other methods.
 
     Raises:
         InputError: The pairs are too few.
