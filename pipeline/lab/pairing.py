@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.merge.lag import Clock, Track
@@ -168,11 +168,12 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
     time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
-    positions, stretched = _trusted(joints.positions, skeleton)
-    if stretched > 0.0:
+    changed = changed_bones(joints.positions, skeleton)
+    positions = np.where(changed[..., None], np.nan, joints.positions)
+    if changed.any():
         notes.append(
-            f"{stretched:.1%} of the mocap's joints are left out, because the lengths "
-            f"of their bones changed by over {_STRETCHED:.0%}"
+            f"{changed.mean():.1%} of the mocap's joints are left out, as the lengths "
+            f"of their bones change by over {_STRETCHED:.0%}"
         )
     _check_size(take, positions, both)
     sides = take.positions, positions
@@ -237,13 +238,12 @@ def _check_size(take: Take, positions: Array, both: str) -> None:
         )
 
 
-def _trusted(positions: Array, skeleton: Skeleton) -> tuple[Array, float]:
-    """Return mocap without joints whose bones change length, and their share."""
+def changed_bones(positions: Array, skeleton: Skeleton) -> Flags:
+    """Return the joints whose bone is not of its usual length, shape (T, J)."""
     lengths = segment_lengths(positions, skeleton)
     lengths[:, skeleton.root] = 1.0  # has no bone
     with np.errstate(divide="ignore", invalid="ignore"):
-        wrong = np.abs(lengths / column_medians(lengths) - 1.0) > _STRETCHED
-    return np.where(wrong[..., None], np.nan, positions), float(wrong.mean())
+        return np.abs(lengths / column_medians(lengths) - 1.0) > _STRETCHED
 
 
 def _placed(matches: Sequence[_Match]) -> Placement:
@@ -370,5 +370,5 @@ def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
     positions, there, state = take.positions[frames], truth[frames], take.state[frames]
     positions[frames < 0] = there[frames < 0] = np.nan
     state[frames < 0] = State.NOT_TRACKED
-    stamps = np.arange(len(frames)) * step
+    stamps = np.arange(len(frames), dtype=np.float64) * step
     return Take(stamps, positions, state, take.skeleton, take.source), there

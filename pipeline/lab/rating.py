@@ -291,7 +291,8 @@ def _on_floor(take: Take, standing: Clip | Take) -> Array:
         positions = leveled(positions, standing.tilt, standing.roll)
     else:
         positions = leveled_to_clip(take, standing)
-    return positions + np.array([0.0, height - _foot_height(positions), 0.0])
+    rise = np.array([0.0, height - _foot_height(positions), 0.0])
+    return np.asarray(positions + rise)
 
 
 def _foot_height(positions: Array) -> float:

@@ -142,10 +142,9 @@ def _completed(mocap: Array) -> Array:
     filled = flat.reshape(mocap.shape)
     trunk = filled[:, index("HipCenter")], filled[:, index("ShoulderCenter")]
     filled[:, index("Spine")] = 0.45 * trunk[0] + 0.55 * trunk[1]
-    for side in ("Left", "Right"):
-        wrist = filled[:, index(f"Wrist{side}")]
-        forearm = wrist - filled[:, index(f"Elbow{side}")]
-        filled[:, index(f"Hand{side}")] = wrist + 0.3 * forearm
+    sides = KINECT_V1.sides
+    wrists = filled[:, sides("Wrist")]
+    filled[:, sides("Hand")] = wrists + 0.3 * (wrists - filled[:, sides("Elbow")])
     return filled
 
 

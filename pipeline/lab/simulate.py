@@ -132,12 +132,9 @@ def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
 class SimulatedView(NamedTuple):
     """The recording of one of several virtual Kinects."""
 
-    pair: PairedTake
-    """The take, in the sensor's time, and the ground truth in the sensor frame."""
+    pair: PairedTake  # in the sensor's time and frame
     sensor: Sensor
-    """The sensor and its placement."""
-    clock: Clock
-    """Converts seconds of the performance to the sensor's time."""
+    clock: Clock  # converts seconds of the performance to the sensor's time
 
 
 def simulate_session(
@@ -155,8 +152,8 @@ def simulate_session(
     The ground truth is in each sensor's frame, at its own frames.
 
     Args:
-        scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``, or the path of a mocap file.
+        scene: As for ``simulate``.
+        motion: Likewise.
         sensors: Names from ``SENSORS``; the person faces the first.
         degrees: Angle around the person from each sensor to the next.
         seed: Seed of the person, performance, errors, placements and clocks.

@@ -26,7 +26,6 @@ from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.smooth import smooth
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
@@ -34,6 +33,7 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from .accuracy import area_under_roc
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
+from .pairing import changed_bones
 from .systems import check_untaught
 from .teach import teach
 from .training import training_set
@@ -48,7 +48,6 @@ FAR = 0.12
 """Distance [m] from the front sensor's joint beyond which a joint is wrong."""
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
-_LENGTH = 0.25  # relative change of bone length beyond which the front is in doubt
 _SPEED = 6.0  # m/s beyond which the front is in doubt
 _FACING = 45.0  # degrees away from a sensor beyond which it loses limbs
 _BESIDE = 10.0  # degrees that people turn away from B more than from A if B is beside
@@ -286,9 +285,7 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
     missing = np.isnan(positions)
     weights = np.where(missing[..., 0], 1e-6, 1.0)
     path = smooth(time, np.nan_to_num(positions), weights, cutoff=_CUTOFF)
-    lengths = segment_lengths(positions, skeleton)
-    lengths[:, skeleton.root] = 1.0  # has no bone
-    odd = np.abs(lengths / np.nanmedian(lengths, axis=0) - 1.0) > _LENGTH
+    odd = changed_bones(positions, skeleton)
     moved = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     fast = moved / np.diff(time)[:, None] > _SPEED
     odd[1:] |= fast
