@@ -184,14 +184,14 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
             f"{both}: have {len(common)} joints of the limbs in common, expected "
             f"{_FEWEST_JOINTS} or more"
         )
-    seen = Track(take.time, take.positions[:, common])
-    there = Track(time, positions[:, common])
-    length = min(float(track.time[-1] - track.time[0]) for track in (seen, there))
+    mocap_track = Track(time, positions[:, common])
+    tracks = Track(take.time, take.positions[:, common]), mocap_track
+    length = min(float(track.time[-1] - track.time[0]) for track in tracks)
     if length < _SHORTEST:
         raise InputError(
             f"{both}: {length:.2g} s is too short; expected {_SHORTEST:g} s or more"
         )
-    apart = [distances(track) for track in (seen, there)]
+    apart = [distances(track) for track in tracks]
     for values, source in zip(apart, (take.source, joints.source), strict=True):
         if not np.nanstd(values - column_medians(values)) > _LEAST_MOVED:
             raise InputError(
@@ -210,7 +210,7 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
         clock = find_drift(apart[0], apart[1], clock) or clock
     else:
         notes.append(f"{length:.1f} s is too short to tell whether the clocks drift")
-    clock = refined(seen, there, clock)
+    clock = refined(*tracks, clock)
     match = _Match(clip, take, Track(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
     if not explained >= least:
@@ -251,15 +251,15 @@ def _placed(matches: Sequence[_Match]) -> Placement:
     skeleton = matches[0].take.skeleton
     used = [*(skeleton.index(joint) for joint in LIMBS), skeleton.girdle]
     knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
-    seen, there = [], []
+    points, onto = [], []
     for match in matches:
         joints = match.mocap_at_frames()
         shanks = joints[:, knees] - joints[:, ankles]
         lengths = np.linalg.norm(shanks, axis=2, keepdims=True)
         joints[:, ankles] += _ANKLE * shanks / lengths
-        seen.append(joints[:, used])
-        there.append(match.take.positions[:, used])
-    return placement(np.concatenate(seen), np.concatenate(there))
+        points.append(joints[:, used])
+        onto.append(match.take.positions[:, used])
+    return placement(np.concatenate(points), np.concatenate(onto))
 
 
 def _explained(match: _Match, placed: Placement) -> float:
@@ -367,8 +367,8 @@ def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
     steps, first = np.unique(rounded, return_index=True)
     frames = np.full(steps[-1] + 1, -1)
     frames[steps] = first + rows.start
-    positions, there, state = take.positions[frames], truth[frames], take.state[frames]
-    positions[frames < 0] = there[frames < 0] = np.nan
+    positions, true, state = take.positions[frames], truth[frames], take.state[frames]
+    positions[frames < 0] = true[frames < 0] = np.nan
     state[frames < 0] = State.NOT_TRACKED
     stamps = np.arange(len(frames), dtype=np.float64) * step
-    return Take(stamps, positions, state, take.skeleton, take.source), there
+    return Take(stamps, positions, state, take.skeleton, take.source), true

@@ -49,22 +49,22 @@ class Key(NamedTuple):
 
 def read_key(path: Path) -> Key:
     """Read the key of a page, or raise an InputError."""
-    found = _read(path)
+    content = _read(path)
     try:
         systems, motions = (
-            [printable(k) for k in found[n]] for n in ("systems", "motions")
+            [printable(name) for name in content[key]] for key in ("systems", "motions")
         )
         clips = [
             (systems.index(clip["system"]), motions.index(clip["motion"]))
-            for clip in found["clips"]
+            for clip in content["clips"]
         ]
-        trials = [tuple(sorted(_integers(trial))) for trial in found["trials"]]
+        trials = [tuple(sorted(_integers(trial))) for trial in content["trials"]]
         seen = {clip for trial in trials for clip in trial}
         whole = len(set(clips)) == len(clips) == len(systems) * len(motions)
         whole = whole and seen == set(range(len(clips))) and len(systems) > 1
         if not whole or {len(trial) for trial in trials} not in ({1}, {2}):
             raise ValueError
-        return Key(str(found["page"]), systems, motions, clips, trials)
+        return Key(str(content["page"]), systems, motions, clips, trials)
     except (KeyError, TypeError, ValueError):
         raise InputError(
             f"{path}: not the key of a page; give the file that 'kinefilter rate' "
@@ -89,8 +89,8 @@ def read_answers(paths: Sequence[Path], key: Key) -> Raters:
 
 
 def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
-    found = _read(path)
-    page, rater, given = (found.get(name) for name in ("page", "rater", "answers"))
+    content = _read(path)
+    page, rater, given = (content.get(name) for name in ("page", "rater", "answers"))
     if page != key.page:
         other = "of no page" if page is None else f"of page {shown(page)}"
         raise InputError(
@@ -125,12 +125,12 @@ def _integers(values: Any) -> tuple[int, ...]:
 
 def _read(path: Path) -> Figures:
     try:
-        found = json.loads(read_limited(path, _LARGEST))
+        content = json.loads(read_limited(path, _LARGEST))
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        content = None
+    if not isinstance(content, dict):
         raise InputError(f"{path}: not JSON of 'kinefilter rate' or its page")
-    return found
+    return content
 
 
 def summarize(raters: Raters, key: Key) -> Figures:
@@ -142,7 +142,7 @@ def summarize(raters: Raters, key: Key) -> Figures:
     grades = np.array([_grades(answers, key) for answers in raters.values()])  # R, S, M
     means, by_motion = grades.mean(axis=2), grades.mean(axis=0)
     count = len(key.systems)
-    better = np.zeros((count, count), dtype=int)  # how often row was, than column
+    better = np.zeros((count, count), dtype=int)  # [a, b]: a was graded higher than b
     equal = np.zeros_like(better)
     for clips, given in (answer for answers in raters.values() for answer in answers):
         for (a, first), (b, second) in permutations(zip(clips, given, strict=True), 2):

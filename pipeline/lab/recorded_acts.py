@@ -78,7 +78,9 @@ def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
             shift = np.array([0.0, 0.0, DISTANCE])
             kinect = data["kinect"][start:stop].astype(float) + shift
             mocap += shift
-            yield Pair(str(clip), kinect, mocap, _act(mocap, str(clip)))
+            lengths = np.median(segment_lengths(mocap, KINECT_V1), axis=0)
+            body, time = measured_body(KINECT_V1, lengths), np.arange(len(mocap)) / 30.0
+            yield Pair(str(clip), kinect, mocap, _motion(time, mocap, body, str(clip)))
 
 
 def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:
@@ -146,12 +148,6 @@ def _completed(mocap: Array) -> Array:
     wrists = filled[:, sides("Wrist")]
     filled[:, sides("Hand")] = wrists + 0.3 * (wrists - filled[:, sides("Elbow")])
     return filled
-
-
-def _act(positions: Array, name: str) -> Motion:
-    lengths = np.median(segment_lengths(positions, KINECT_V1), axis=0)
-    body = measured_body(KINECT_V1, lengths)
-    return _motion(np.arange(len(positions)) / 30.0, positions, body, name)
 
 
 def _motion(time: Array, positions: Array, body: Body, source: str) -> Motion:

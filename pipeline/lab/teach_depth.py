@@ -80,8 +80,7 @@ class Sizes:
     """Maximum depth of a tree; the paper has 20."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shot:
+class Shot(NamedTuple):
     """An image of a person, and the true joint positions [m], in the sensor frame."""
 
     image: DepthImage
@@ -166,7 +165,7 @@ def features(count: int) -> Singles:
     return np.asarray(offsets, dtype=np.float32)
 
 
-def lessons(
+def training_pixels(
     seed: int, sizes: Sizes, mocap: dict[str, Array]
 ) -> tuple[Singles, NDArray[np.int8]]:
     """Return features and body parts of pixels of one person.
@@ -245,7 +244,7 @@ def converted(
     )
 
 
-class Found(NamedTuple):
+class Results(NamedTuple):
     """A forest's results on the images of one person."""
 
     skeleton: Skeleton
@@ -255,9 +254,9 @@ class Found(NamedTuple):
     hits: tuple[int, int]  # number of correctly classified pixels, and of all pixels
 
 
-def found_in(
+def evaluate_forest(
     seed: int, count: int, mocap: dict[str, Array], forest: BodyPartForest
-) -> Found:
+) -> Results:
     """Return a forest's results on ``count`` images of a person."""
     skin, area, joints, right, whole = [], [], [], 0, 0
     for shot in shots_of(seed, count, mocap):
@@ -270,15 +269,15 @@ def found_in(
         right += int((parts == shot.labels(rows, columns)).sum())
         whole += len(rows)
     arrays = np.array(skin), np.array(area), np.array(joints)
-    return Found(shot.body.skeleton, *arrays, (right, whole))
+    return Results(shot.body.skeleton, *arrays, (right, whole))
 
 
 def _by_skeleton(
-    found: Sequence[Found],
+    results: Sequence[Results],
 ) -> Iterator[tuple[int, Skeleton, Array, Array, Array]]:
     """Yield row, skeleton, skin, area and joints of each skeleton with results."""
     for row, skeleton in enumerate(SKELETONS.values()):
-        own = [one for one in found if one.skeleton == skeleton]
+        own = [one for one in results if one.skeleton == skeleton]
         if own:
             skin, area, joints = (
                 np.concatenate([getattr(one, name) for one in own])
@@ -287,7 +286,9 @@ def _by_skeleton(
             yield row, skeleton, skin, area, joints
 
 
-def with_constants(forest: BodyPartForest, checked: Sequence[Found]) -> BodyPartForest:
+def with_constants(
+    forest: BodyPartForest, checked: Sequence[Results]
+) -> BodyPartForest:
     """Return the forest with each joint's depth behind the skin and minimum area.
 
     The depth is the median over images that show much skin. The minimum area is the one
@@ -311,9 +312,9 @@ def with_constants(forest: BodyPartForest, checked: Sequence[Found]) -> BodyPart
     return replace(forest, push=push, least=least)
 
 
-def report(forest: BodyPartForest, tested: Sequence[Found]) -> Iterator[str]:
+def report(forest: BodyPartForest, tested: Sequence[Results]) -> Iterator[str]:
     """Yield the accuracy of a forest, measured on held-out images."""
-    right, whole = np.sum([found.hits for found in tested], axis=0)
+    right, whole = np.sum([result.hits for result in tested], axis=0)
     yield f"pixels classified correctly: {right / whole:.0%} of {whole}"
     for _, skeleton, skin, area, joints in _by_skeleton(tested):
         push, least = constants_of(forest, skeleton)
@@ -342,16 +343,16 @@ def teach_depth(
         for held in (False, True)
     )
     with workers() as pool:
-        teach = partial(lessons, sizes=sizes, mocap=mocap)
-        pixels = [*pool.map(teach, range(_PEOPLE, _PEOPLE + sizes.people))]
+        draw = partial(training_pixels, sizes=sizes, mocap=mocap)
+        pixels = [*pool.map(draw, range(_PEOPLE, _PEOPLE + sizes.people))]
         values, parts = (np.concatenate(part) for part in zip(*pixels, strict=True))
         yield f"training on {len(values)} pixels"
         forest = fitted(values, parts, sizes)
-        check = partial(found_in, count=sizes.images, mocap=mocap, forest=forest)
+        check = partial(evaluate_forest, count=sizes.images, mocap=mocap, forest=forest)
         results = [*pool.map(check, range(_CHECKING, _CHECKING + checked))]
         forest = with_constants(forest, results)
         forest.save(out)
-        test = partial(found_in, count=sizes.images, mocap=other, forest=forest)
+        test = partial(evaluate_forest, count=sizes.images, mocap=other, forest=forest)
         results = [*pool.map(test, range(_TESTING, _TESTING + checked))]
         yield from report(forest, results)
 
