@@ -149,14 +149,9 @@ def simulate_session(
 
     Each sensor has its own skeleton, errors, height, tilt and clock. Clocks start at an
     arbitrary time and drift by up to 0.1 ms per second; the sensors' frames interleave.
-    The ground truth is in each sensor's frame, at its own frames.
-
-    Args:
-        scene: As for ``simulate``.
-        motion: Likewise.
-        sensors: Names from ``SENSORS``; the person faces the first.
-        degrees: Angle around the person from each sensor to the next.
-        seed: Seed of the person, performance, errors, placements and clocks.
+    The ground truth is in each sensor's frame, at its own frames. Scenes and motions
+    are those of ``simulate``. The person faces the first of ``sensors``, which stand
+    ``degrees`` apart around the person. The seed determines everything random.
     """
     rng, room = np.random.default_rng([seed, 2]), load_scene(scene)
     views, count = [], len(sensors)

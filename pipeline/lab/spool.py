@@ -36,8 +36,7 @@ class Spool:
         except OSError as error:
             raise InputError(
                 f"{tempfile.gettempdir()}: cannot store temporary data "
-                f"({error.strerror or error}); free space or set TMPDIR to a larger "
-                "disk"
+                f"({error.strerror or error}); free space or point TMPDIR elsewhere"
             ) from None
 
     def array(self) -> NDArray[Any]:

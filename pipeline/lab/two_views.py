@@ -84,7 +84,7 @@ def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
             raise InputError(f"--sync is for two takes, --views names {len(paths)}")
         name = sync.name.removesuffix(".sync.csv")
         return [Session(name, paths[0], paths[1], sync)]
-    found, end = [], ".sync.csv"
+    sessions, end = [], ".sync.csv"
     for path in paths:
         pattern = f"*{end}" if path.is_dir() else path.name.removesuffix(end) + end
         files = sorted((path if path.is_dir() else path.parent).glob(pattern))
@@ -95,8 +95,8 @@ def find_sessions(paths: Sequence[Path], sync: Path | None) -> list[Session]:
             takes = [sorted(file.parent.glob(f"{name}_{s}*.csv*")) for s in "AB"]
             if not all(takes):
                 raise InputError(f"{file}: no takes {name}_A*.csv* and {name}_B*.csv*")
-            found.append(Session(name, takes[0][0], takes[1][0], file))
-    return found
+            sessions.append(Session(name, takes[0][0], takes[1][0], file))
+    return sessions
 
 
 def compare_views(
