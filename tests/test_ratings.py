@@ -234,6 +234,6 @@ def test_raters_in_doubt_are_told(
     assert _ratings(answered) == 0
     said = capsys.readouterr().out
     assert "lazy gave everything the same grade" in said
-    assert "torn found the other of two better the second time, in 1 of 1" in said
+    assert "torn preferred the other clip the second time in 1 of 1" in said
     assert "vague graded the same clips 4.0 apart" in said
     assert "bob" not in said

@@ -126,7 +126,7 @@ def test_sessions_that_are_none_are_refused(
         ([session[0], "--sync", session[3]], "--sync is for two takes"),
         ([*session[:2], "--sync", str(other)], "do the takes belong together?"),
         ([*session[:2], "--sync", str(text)], "not stamps of two sensors"),
-        ([*session, "--methods", "best"], "method 'best' cannot"),
+        ([*session, "--methods", "best"], "method 'best': expected one"),
     ):
         assert main(["evaluate", "--views", *arguments]) == 2
         assert message in capsys.readouterr().err

@@ -1,9 +1,9 @@
-"""Makes training pairs: Kinect takes, and the mocap of the same movement beside them.
+"""Pairs Kinect takes with marker mocap of the same movement.
 
-A take and its mocap agree in nothing but the movement: clocks, frames and axes are each
-their own. The lag is found first (``lags``), then one rigid transform that lays the
-mocap's joints onto the take's. Takes of a session share that transform, as neither
-sensor nor mocap moved, and the offset of the clocks where their lags say so.
+A take and its mocap share nothing but the movement: each has its own clock, frame rate
+and axes. First the lag is found (``lags``), then one rigid transform from the mocap's
+joints to the take's. All takes of a session share that transform, because neither the
+sensor nor the mocap system moved; they also share the clock offset if their lags agree.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.merge.lag import Clock, Track
@@ -30,78 +30,78 @@ from .lags import SHORTEST_FOR_DRIFT, correlated, distances, find_drift, refined
 from .marker_sets import MarkerSet, joint_centers
 
 EXPLAINED = 0.55
-"""Share of a take's movement that its own mocap explains at least.
+"""Minimum share of a take's movement that its mocap must explain.
 
-Chosen on s02, s03 and s04 of UI-PRMD, of whose true pairs it takes 97 %. On s06, s07
-and s08, clips of 2.5 s, it takes 97 % of the true pairs, 1 % of those with the mocap of
-another exercise, 5 % with that of another person's same exercise, and 32 % with that of
-another repetition by the same person: ``python tests/pairing_figures.py ../shared/data
-s06 s07 s08``."""
+Chosen on s02, s03 and s04 of UI-PRMD, where it accepts 97 % of the true pairs. On s06,
+s07 and s08, with clips of 2.5 s, it accepts 97 % of the true pairs, 1 % of the pairs
+with mocap of another exercise, 5 % with another person's mocap of the same exercise,
+and 32 % with another repetition by the same person:
+``python tests/pairing_figures.py ../shared/data s06 s07 s08``."""
 
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
-_SHARE = 0.5  # of the shorter recording that must be in the other
+_SHARE = 0.5  # of the shorter recording that must overlap the other
 _ANKLE = 0.06
-"""How far up the shank a Kinect has the ankle [m]; chosen on s02, s03 and s04."""
-_LEAST_MOVED = 0.01  # m: standard deviation of distances; nobody moves who has less
-_SAME_CLOCK = 0.5  # of a frame that lags of one clock offset may differ
+"""How far up the shank a Kinect places the ankle [m]; chosen on s02, s03 and s04."""
+_LEAST_MOVED = 0.01  # m: minimum standard deviation of joint distances in a movement
+_SAME_CLOCK = 0.5  # frames by which lags of the same clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10
-"""Angle, and distance [m] of the body, by which takes of a session may be placed
-differently: those of a person in UI-PRMD differ by up to 3 degrees. A guess."""
-_FEW = 0.2  # of the frames may be lost; they say nothing of the others. A guess
-_STRETCHED = 0.25  # share by which no bone changes its length
+"""Angle, and distance [m] of the body, by which the transform of a take may differ from
+that of its session; within a person of UI-PRMD they differ by up to 3 degrees. A
+guess."""
+_FEW = 0.2  # share of outlier frames that are ignored in the explained share; a guess
+_STRETCHED = 0.25  # relative change of a bone's length that marks its joint as wrong
 _LOST_FRAME, _LOST_JOINT = 0.20, 0.30
-"""Medians of distances [m] of a frame, and of a joint over a take, that no sensor gives
-that follows the person: 0.16 m and 0.25 m (99.9 %) are the most of s02, s03 and s04."""
+"""Median distances [m] over a frame, and for a joint over a take, beyond which the
+sensor is not following the person: in s02, s03 and s04, 99.9 % are below 0.16 m and
+0.25 m."""
 _SIZES = 0.20
-"""Share by which the bones of one person may differ, in the median: those of s02, s03
-and s04 differ by up to 14 %."""
-_RATES = 0.05  # share by which frame rates in a file may differ
+"""Log ratio by which the median bone lengths of one person may differ; those of s02,
+s03 and s04 differ by up to 14 %."""
+_RATES = 0.05  # relative difference allowed between frame rates in one file
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """A take, its mocap in the take's time and frame, and how they were found."""
+    """A take with its mocap in the take's time and frame, and how they were aligned."""
 
     pair: PairedTake
-    """Take and truth, at an even rate; NaN where there is none or none to trust."""
+    """Take and ground truth at an even rate; NaN where missing or not trusted."""
     clock: Clock
-    """What the mocap's clock shows at the take's times."""
+    """Converts the take's times to the mocap's."""
     placed: Placement
-    """From the mocap's axes, in meters, to the take's frame; where the mocap has joints
-    and its z is up, from the axes x, z, -y."""
+    """From the mocap's axes, in meters, to the take's frame. For mocap with joints and
+    z up, the source axes are x, z, -y."""
     explained: float
     """Share of the take's movement that the mocap explains."""
     notes: tuple[str, ...]
-    """What was left out or could not be told."""
+    """What was left out or could not be determined."""
 
     @property
     def away(self) -> Array:
         """Distance of each joint from the mocap [m], shape (T, J)."""
-        return np.asarray(self._norms(self.pair.take.positions - self.pair.truth))
+        apart = self.pair.take.positions - self.pair.truth
+        return np.asarray(np.linalg.norm(apart, axis=2))
 
     @property
     def varying(self) -> Array:
-        """The same without each joint's mean difference over the take."""
+        """The same after subtracting each joint's mean offset over the take."""
         apart = self.pair.take.positions - self.pair.truth
         with np.errstate(invalid="ignore"):
             mean = np.nansum(apart, axis=0) / (~np.isnan(apart)).sum(axis=0)
-        return np.asarray(self._norms(apart - mean))
-
-    @staticmethod
-    def _norms(apart: Array) -> Array:
-        return np.asarray(np.linalg.norm(apart, axis=2))
+        return np.asarray(np.linalg.norm(apart - mean, axis=2))
 
 
 class _Match(NamedTuple):
-    """A take and its mocap's joints, when they lie together, and what was told."""
+    """A take, its mocap's joints, and the clock that relates them."""
 
+    clip: str
     take: Take
     mocap: Track  # all joints, in its own axes
     clock: Clock
     notes: tuple[str, ...]
 
-    def seen(self) -> Array:
+    def mocap_at_frames(self) -> Array:
         """Return the mocap's joints at the take's frames, in its own axes [m]."""
         return self.mocap.at(self.clock.at(self.take.time))
 
@@ -115,43 +115,35 @@ def pair_session(
     least: float = EXPLAINED,
     progress: Progress = silent,
 ) -> tuple[list[Pairing], list[str]]:
-    """Return pairs of a person's takes and mocap, and why others are left out.
+    """Return pairs of a person's takes and mocap, and why the others are left out.
 
-    Args:
-        recordings: Takes, each with mocap of the same movement; sensor and mocap stood
-            where they stand, all the time.
-        subject: Who moves.
-        names: Of the clips; by default those of the takes' files.
-        table: Where joints lie among markers, see ``joint_centers``.
-        least: Share of a take's movement that its mocap has to explain.
-        progress: Wraps the loop over takes, for a progress bar.
+    Each recording is a take and mocap of the same movement; neither the sensor nor the
+    mocap system moved between them. ``names`` are the names of the clips, by default
+    those of the takes' files; ``table`` locates joints among markers, see
+    ``joint_centers``; ``least`` is the minimum share of a take's movement that its
+    mocap must explain.
 
     Raises:
-        InputError: No take can be paired, or they are of different skeletons or rates.
+        InputError: No take can be paired, or the takes differ in skeleton or frame
+            rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)
     clips = names or [Path(take.source).name.split(".")[0] for take in takes]
     matches: list[_Match] = []
     refused: list[str] = []
-    kept: list[str] = []
     for k in over(range(len(recordings)), "pair", progress):
         take, mocap = recordings[k]
         try:
             joints = joint_centers(mocap, take.skeleton, table)
-            matches.append(_match(take, joints, least))
-            kept.append(clips[k])
+            matches.append(_match(clips[k], take, joints, least))
         except InputError as error:
             refused.append(str(error))
     if not matches:
         raise InputError("; ".join(refused))
     matches = _on_one_clock(matches)
     shared = _placed(matches)
-    pairings = [
-        _pairing(match, shared, subject, clip)
-        for clip, match in zip(kept, matches, strict=True)
-    ]
-    return pairings, refused
+    return [_pairing(match, shared, subject) for match in matches], refused
 
 
 def _check_alike(takes: Sequence[Take]) -> None:
@@ -159,8 +151,9 @@ def _check_alike(takes: Sequence[Take]) -> None:
     for take in takes:
         if take.skeleton != first.skeleton:
             raise InputError(
-                f"{take.source}: {take.skeleton.name}, but {first.source} is "
-                f"{first.skeleton.name}; pair them into files of their own"
+                f"{take.source}: the skeleton is {take.skeleton.name}, but that of "
+                f"{first.source} is {first.skeleton.name}; pair them into files of "
+                "their own"
             )
         rates = 1.0 / nominal_step(take.time), 1.0 / nominal_step(first.time)
         if not abs(rates[0] / rates[1] - 1.0) < _RATES:
@@ -170,70 +163,67 @@ def _check_alike(takes: Sequence[Take]) -> None:
             )
 
 
-def _match(take: Take, joints: Mocap, least: float) -> _Match:
-    """Find lag, drift and transform, or raise InputError where there are none."""
+def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
+    """Find lag and drift; raise an InputError if the recordings do not match."""
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
     time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
-    positions, stretched = _trusted(joints.positions, skeleton)
-    if stretched > 0.0:
+    changed = changed_bones(joints.positions, skeleton)
+    positions = np.where(changed[..., None], np.nan, joints.positions)
+    if changed.any():
         notes.append(
-            f"{stretched:.1%} of the mocap's joints are left out, as bones changed "
-            f"their lengths by over {_STRETCHED:.0%} there"
+            f"{changed.mean():.1%} of the mocap's joints are left out, as the lengths "
+            f"of their bones change by over {_STRETCHED:.0%}"
         )
     _check_size(take, positions, both)
-    common = [
-        j
-        for j in [skeleton.index(joint) for joint in LIMBS]
-        if not np.isnan(take.positions[:, j]).all()
-        and not np.isnan(positions[:, j]).all()
-    ]
+    sides = take.positions, positions
+    known = np.all([~np.isnan(side).all(axis=(0, 2)) for side in sides], axis=0)
+    common = [j for j in map(skeleton.index, LIMBS) if known[j]]
     if len(common) < _FEWEST_JOINTS:
         raise InputError(
             f"{both}: have {len(common)} joints of the limbs in common, expected "
             f"{_FEWEST_JOINTS} or more"
         )
-    seen = Track(take.time, take.positions[:, common])
-    there = Track(time, positions[:, common])
-    length = min(float(track.time[-1] - track.time[0]) for track in (seen, there))
+    mocap_track = Track(time, positions[:, common])
+    tracks = Track(take.time, take.positions[:, common]), mocap_track
+    length = min(float(track.time[-1] - track.time[0]) for track in tracks)
     if length < _SHORTEST:
         raise InputError(
-            f"{both}: {length:.2g} s are too short; expected {_SHORTEST:g} s or more"
+            f"{both}: {length:.2g} s is too short; expected {_SHORTEST:g} s or more"
         )
-    apart = [distances(track) for track in (seen, there)]
+    apart = [distances(track) for track in tracks]
     for values, source in zip(apart, (take.source, joints.source), strict=True):
         if not np.nanstd(values - column_medians(values)) > _LEAST_MOVED:
             raise InputError(
-                f"{source}: nobody moves, so nothing tells when its frames were "
-                "recorded; pair takes with movement in them"
+                f"{source}: the person does not move, so the recordings cannot be "
+                "aligned in time; pair takes with movement in them"
             )
     common_time = max(_SHORTEST, _SHARE * length)
-    found = correlated(apart[0], apart[1], common_time)
-    if found is None:
+    lag = correlated(apart[0], apart[1], common_time)
+    if lag is None:
         raise InputError(
-            f"{both}: at no lag do both know for {common_time:.2g} s where the joints "
-            "are; give recordings of the same time"
+            f"{both}: at no lag do both have joint positions for {common_time:.2g} s; "
+            "give recordings of the same time"
         )
-    clock = Clock(float(take.time[0]), found.seconds)
+    clock = Clock(float(take.time[0]), lag.seconds)
     if length >= SHORTEST_FOR_DRIFT:
         clock = find_drift(apart[0], apart[1], clock) or clock
     else:
-        notes.append(f"{length:.1f} s are too short to tell whether the clocks drift")
-    clock = refined(seen, there, clock)
-    match = _Match(take, Track(time, positions), clock, tuple(notes))
+        notes.append(f"{length:.1f} s is too short to tell whether the clocks drift")
+    clock = refined(*tracks, clock)
+    match = _Match(clip, take, Track(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
     if not explained >= least:
         raise InputError(
             f"{both}: at the best lag, {clock.lag:.2f} s, the mocap explains "
             f"{max(explained, 0.0):.0%} of the movement, expected {least:.0%} or more: "
-            "is it another movement, another person, or another time? If it is not, "
-            "lower --least"
+            "is it another movement, another person, or another time? If not, lower "
+            "--least"
         )
     return match
 
 
 def _check_size(take: Take, positions: Array, both: str) -> None:
-    """Raise InputError where the two are of bodies of different size."""
     lengths = [
         column_medians(segment_lengths(side, take.skeleton))[take.skeleton.segments]
         for side in (take.positions, positions)
@@ -244,46 +234,45 @@ def _check_size(take: Take, positions: Array, both: str) -> None:
     if abs(np.log(ratio)) > _SIZES:
         raise InputError(
             f"{both}: the take's bones are {ratio:.2f} times as long as the mocap's; "
-            "they are of two people, or of a table that does not fit the markers"
+            "they show two people, or the marker table does not fit the markers"
         )
 
 
-def _trusted(positions: Array, skeleton: Skeleton) -> tuple[Array, float]:
-    """Return mocap without joints whose bones change their lengths, and their share."""
+def changed_bones(positions: Array, skeleton: Skeleton) -> Flags:
+    """Return the joints whose bone is not of its usual length, shape (T, J)."""
     lengths = segment_lengths(positions, skeleton)
     lengths[:, skeleton.root] = 1.0  # has no bone
     with np.errstate(divide="ignore", invalid="ignore"):
-        wrong = np.abs(lengths / column_medians(lengths) - 1.0) > _STRETCHED
-    return np.where(wrong[..., None], np.nan, positions), float(wrong.mean())
+        return np.abs(lengths / column_medians(lengths) - 1.0) > _STRETCHED
 
 
 def _placed(matches: Sequence[_Match]) -> Placement:
-    """Return the transform that lays the mocap of all matches onto their takes."""
+    """Return the transform from the mocap of all matches to their takes."""
     skeleton = matches[0].take.skeleton
     used = [*(skeleton.index(joint) for joint in LIMBS), skeleton.girdle]
-    seen, there = [], []
+    knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
+    points, onto = [], []
     for match in matches:
-        joints = match.seen()
-        knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
+        joints = match.mocap_at_frames()
         shanks = joints[:, knees] - joints[:, ankles]
         lengths = np.linalg.norm(shanks, axis=2, keepdims=True)
         joints[:, ankles] += _ANKLE * shanks / lengths
-        seen.append(joints[:, used])
-        there.append(match.take.positions[:, used])
-    return placement(np.concatenate(seen), np.concatenate(there))
+        points.append(joints[:, used])
+        onto.append(match.take.positions[:, used])
+    return placement(np.concatenate(points), np.concatenate(onto))
 
 
 def _explained(match: _Match, placed: Placement) -> float:
     """Return the share of the take's movement that its mocap explains.
 
-    Each joint's constant difference is a matter of what is called that joint. Squared
-    distances count as lag and transform count them, by the logarithm: a limb that the
-    sensor loses for a while tells little of whether the recordings belong together.
+    Each joint's constant offset is ignored: it only reflects how the joint is defined.
+    Squared distances are compressed by the logarithm, as when lag and transform are
+    fitted: a limb that the sensor loses for a while says little about whether the
+    recordings belong together.
     """
-    skeleton = match.take.skeleton
-    limbs = [skeleton.index(joint) for joint in LIMBS]
+    limbs = [match.take.skeleton.index(joint) for joint in LIMBS]
     joints = match.take.positions[:, limbs]
-    apart = placed.apply(match.seen()[:, limbs]) - joints
+    apart = placed.apply(match.mocap_at_frames()[:, limbs]) - joints
     lost = column_medians(np.linalg.norm(apart, axis=2).T) > _LOST_FRAME
     if lost.mean() < _FEW:
         apart[lost] = np.nan
@@ -296,45 +285,47 @@ def _explained(match: _Match, placed: Placement) -> float:
 
 
 def _median(values: Array) -> Array:
-    """Return each joint's median over frames, NaN where it is never known, (J, 3)."""
+    """Return each joint's median over frames, NaN if it is always missing, (J, 3)."""
     flat = column_medians(values.reshape(len(values), -1))
-    return np.asarray(flat.reshape(values.shape[1:]))
+    return flat.reshape(values.shape[1:])
 
 
 def _on_one_clock(matches: list[_Match]) -> list[_Match]:
     """Return matches with one clock offset, if their lags agree and none drifts."""
     offsets = np.array([m.clock.lag - m.clock.start for m in matches])
-    step = nominal_step(matches[0].take.time)
     spread = np.ptp(offsets)
-    if len(matches) < 2 or spread > _SAME_CLOCK * step:
+    drifts = any(match.clock.drift for match in matches)
+    step = nominal_step(matches[0].take.time)
+    if len(matches) < 2 or drifts or spread > _SAME_CLOCK * step:
         return matches
-    if any(match.clock.drift for match in matches):
-        return matches
-    offset, apart = float(np.median(offsets)), f"{spread * 1e3:.0f} ms"
-    note = f"the takes share one clock offset; alone they differ by {apart}"
-    clocks = [m.clock._replace(lag=offset + m.clock.start) for m in matches]
+    offset = float(np.median(offsets))
+    note = (
+        "the takes share one clock offset; estimated separately, their offsets differ "
+        f"by {spread * 1e3:.0f} ms"
+    )
     return [
-        m._replace(clock=clock, notes=(*m.notes, note))
-        for m, clock in zip(matches, clocks, strict=True)
+        m._replace(
+            clock=m.clock._replace(lag=offset + m.clock.start), notes=(*m.notes, note)
+        )
+        for m in matches
     ]
 
 
-def _pairing(match: _Match, shared: Placement, subject: str, clip: str) -> Pairing:
-    """Return a pair at an even rate, without what cannot be trusted."""
-    take, notes = match.take, list(match.notes)
-    skeleton, placed = take.skeleton, shared
-    own, seen = _placed([match]), match.seen()
-    body = seen[:, skeleton.hips].reshape(-1, 3)
+def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
+    """Return a pair at an even rate, without frames and joints that are not trusted."""
+    take, notes, placed = match.take, list(match.notes), shared
+    own, joints = _placed([match]), match.mocap_at_frames()
+    body = joints[:, take.skeleton.hips].reshape(-1, 3)
     body = body[~np.isnan(body).any(axis=1)].mean(axis=0)
     angle = float((own.turn * shared.turn.inv()).magnitude())
     apart = float(np.linalg.norm(own.apply(body) - shared.apply(body)))
     if angle > _SAME_PLACE[0] or apart > _SAME_PLACE[1]:
         placed = own
         notes.append(
-            f"lies {np.degrees(angle):.1f} degrees and {100 * apart:.0f} cm from where "
-            "the session's transform lays it, so it has its own: did the sensor move?"
+            f"this take has a transform of its own, {np.degrees(angle):.1f} degrees "
+            f"and {100 * apart:.0f} cm from the session's: did the sensor move?"
         )
-    truth = placed.apply(seen)
+    truth = placed.apply(joints)
     away = np.linalg.norm(take.positions - truth, axis=2)
     lost = column_medians(away.T) > _LOST_FRAME
     truth[lost] = np.nan
@@ -342,49 +333,42 @@ def _pairing(match: _Match, shared: Placement, subject: str, clip: str) -> Pairi
     truth[:, far] = np.nan
     if lost.any():
         notes.append(
-            f"{lost.sum()} frames are left out, as half of the joints are over "
+            f"{lost.sum()} frames are left out, because half of their joints are over "
             f"{100 * _LOST_FRAME:.0f} cm from the mocap"
         )
     for j in np.flatnonzero(far):
         notes.append(
-            f"{skeleton.joints[j]} is left out, as it is mostly over "
-            f"{100 * _LOST_JOINT:.0f} cm from the mocap; are its markers named right?"
+            f"{take.skeleton.joints[j]} is left out, because it is mostly over "
+            f"{100 * _LOST_JOINT:.0f} cm from the mocap; are its markers labeled "
+            "correctly?"
         )
     rows = np.flatnonzero(~np.isnan(truth).all(axis=(1, 2)))
     if len(rows) * nominal_step(take.time) < _SHORTEST:
         raise InputError(
-            f"{take.source}: {len(rows)} frames are left that can be trusted; "
+            f"{take.source}: only {len(rows)} frames can be trusted; "
             + "; ".join(notes)
         )
     inside = slice(rows[0], rows[-1] + 1)
     if outside := len(take) - (inside.stop - inside.start):
         notes.append(f"{outside} frames are before or after the mocap")
-    even, truth = _even(take, truth, inside)
-    return Pairing(
-        PairedTake(even, truth, subject, clip),
-        match.clock,
-        placed,
-        _explained(match, placed),
-        tuple(notes),
-    )
+    pair = PairedTake(*_even(take, truth, inside), subject, match.clip)
+    explained = _explained(match, placed)
+    return Pairing(pair, match.clock, placed, explained, tuple(notes))
 
 
 def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
     """Return frames at the take's nominal rate, as pairs files have no time stamps.
 
-    Each is as it was recorded, at most half a step from its place; of frames in one
-    place the first is kept, and a place without any is a frame in which nobody is seen.
+    Frames are not interpolated; each moves by at most half a step. Of several frames at
+    one step the first is kept, and a step without a frame becomes an empty frame.
     """
-    step = nominal_step(take.time)
-    time = take.time[rows]
-    places, first = np.unique(
-        np.round((time - time[0]) / step).astype(int), return_index=True
-    )
-    shape = (places[-1] + 1, len(take.skeleton))
-    positions, there = (np.full((*shape, 3), np.nan) for _ in range(2))
-    state = np.full(shape, State.NOT_TRACKED, dtype=np.uint8)
-    positions[places] = take.positions[rows][first]
-    there[places] = truth[rows][first]
-    state[places] = take.state[rows][first]
-    stamps = np.arange(shape[0]) * step
-    return Take(stamps, positions, state, take.skeleton, take.source), there
+    step, time = nominal_step(take.time), take.time[rows]
+    rounded = np.round((time - time[0]) / step).astype(int)
+    steps, first = np.unique(rounded, return_index=True)
+    frames = np.full(steps[-1] + 1, -1)
+    frames[steps] = first + rows.start
+    positions, true, state = take.positions[frames], truth[frames], take.state[frames]
+    positions[frames < 0] = true[frames < 0] = np.nan
+    state[frames < 0] = State.NOT_TRACKED
+    stamps = np.arange(len(frames), dtype=np.float64) * step
+    return Take(stamps, positions, state, take.skeleton, take.source), true

@@ -1,4 +1,4 @@
-"""What was found when takes were paired: figures, a table, a picture."""
+"""The results of pairing takes with mocap as JSON, a table, and a picture."""
 
 from __future__ import annotations
 
@@ -18,8 +18,12 @@ from .studies.study import Panel, Series, Study
 
 
 def figures_of(pairing: Pairing) -> dict[str, Any]:
-    """Return what was found, ready for JSON."""
-    joints, cm = pairing.pair.take.skeleton.joints, 100.0
+    """Return the alignment and residuals of a pair, ready for JSON."""
+    joints = pairing.pair.take.skeleton.joints
+    away, varying = (
+        dict(zip(joints, 100.0 * column_medians(distances), strict=True))
+        for distances in (pairing.away, pairing.varying)
+    )
     return {
         "clip": pairing.pair.clip,
         "frames": len(pairing.pair.take),
@@ -28,16 +32,14 @@ def figures_of(pairing: Pairing) -> dict[str, Any]:
         "rotation_wxyz": pairing.placed.turn.as_quat(scalar_first=True).tolist(),
         "translation_m": pairing.placed.shift.tolist(),
         "explained": pairing.explained,
-        "away_cm": dict(zip(joints, cm * column_medians(pairing.away), strict=True)),
-        "varying_cm": dict(
-            zip(joints, cm * column_medians(pairing.varying), strict=True)
-        ),
+        "away_cm": away,
+        "varying_cm": varying,
         "notes": list(pairing.notes),
     }
 
 
 def as_table(pairings: Sequence[Pairing]) -> Table:
-    """Return what was found, for a terminal."""
+    """Return the alignments and residuals of pairs as a table for the terminal."""
     table = Table("clip", title="pairs of Kinect and mocap")
     for heading in ("frames", "lag, s", "drift, ms a min", "explained, %", "cm"):
         table.add_column(heading, justify="right")
@@ -52,28 +54,29 @@ def as_table(pairings: Sequence[Pairing]) -> Table:
             f"{100 * np.nanmedian(pairing.away):.1f}",
         )
     table.caption = (
-        "lag: what the mocap's clock shows when the take begins; explained: share of "
+        "lag: reading of the mocap's clock when the take begins; explained: share of "
         "the take's movement; cm: median distance of joints from the mocap"
     )
     return table
 
 
 def draw_residuals(pairings: Sequence[Pairing], path: Path) -> None:
-    """Write a picture (PNG) of how far each joint is from the mocap.
+    """Plot each joint's median distance from the mocap (PNG).
 
     Raises:
         InputError: The file cannot be written, or matplotlib is not installed.
     """
-    skeleton = pairings[0].pair.take.skeleton
-    rows = []
-    for label, name in (("median", "away"), ("median, mean difference off", "varying")):
-        values = np.concatenate([getattr(p, name) for p in pairings])
-        rows.append((label, 100.0 * column_medians(values)))
-    known = ~np.isnan(rows[0][1])
-    joints = [joint for joint, seen in zip(skeleton.joints, known, strict=True) if seen]
-    groups = [Series(label, joints, v[known].tolist(), "bars") for label, v in rows]
+    skeleton, medians = pairings[0].pair.take.skeleton, []
+    for name in ("away", "varying"):
+        distances = np.concatenate([getattr(p, name) for p in pairings])
+        medians.append(100.0 * column_medians(distances))
+    known = np.flatnonzero(~np.isnan(medians[0]))
+    joints = [skeleton.joints[j] for j in known]
+    labels = "median", "median, mean offset subtracted"
+    groups = [
+        Series(label, joints, values[known].tolist(), "bars")
+        for label, values in zip(labels, medians, strict=True)
+    ]
     title = f"{pairings[0].pair.subject}: Kinect beside mocap, {len(pairings)} takes"
-    panels = [Panel("", "distance, cm", groups)]
-    study = Study(title, (), (), panels)
     with atomic_path(path) as temporary:
-        draw(study, temporary)
+        draw(Study(title, (), (), [Panel("", "distance, cm", groups)]), temporary)

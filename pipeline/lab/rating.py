@@ -1,9 +1,9 @@
-"""A page on which people grade clips, not knowing which system made which.
+"""A web page for blind grading of clips made by different systems.
 
-As in the user study of Shum et al. 2013 (Section V-B, Figure 6): 27 people saw the
-video of a person, and the characters of three methods one after another, and graded
-from 1 to 9 how accurate each was. Here a stick figure stands for the video, and by
-default two systems are seen at a time, side by side.
+Follows the user study of Shum et al. 2013 (Section V-B, Figure 6), in which 27 people
+watched the video of a person and then the characters of three methods one after
+another, and graded from 1 to 9 how accurate each was. Here a stick figure replaces the
+video, and by default two systems are shown side by side.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.target.floor import leveled
 
 HIGHEST = 9
-"""The best grade; the worst is 1."""
+"""Best grade; the worst is 1."""
 
 _CLIPS = (*WHOLE_CLIPS, ".bvh", ".bvh.gz")
-_FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # these may be takes
+_FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # CSV and .skeleton may be takes
 _NO_MOTION = "manifest.csv"  # of a batch
-_NEAR = 0.15  # m from y = 0, within which feet stand; a guess
-_OFF = 0.03  # m: feet of clips of the same motion are that near in height; a guess
-_APART = 0.5  # s by which the same motion may last longer in one system than in another
-_FARTHEST = 30.0  # m from the origin: no sensor and no hall is as large
-_HEAD, _LEAST = 150.0, 1500.0  # mm above the head's joint, and of what is seen
-_TURNED = 0.35  # rad, to see more than the front
+_NEAR = 0.15  # m from y = 0 within which feet count as on the floor; a guess
+_OFF = 0.03  # m by which the feet of one motion may differ in height; a guess
+_APART = 0.5  # s by which the duration of one motion may differ between systems
+_FARTHEST = 30.0  # m from the origin: beyond the range of any sensor or hall
+_HEAD, _LEAST = 150.0, 1500.0  # mm: margin above the head joint, least view height
+_TURNED = 0.35  # rad off the frontal view, to show depth
 _TEMPLATE = Path(__file__).parent / "template"
 
 Motions = dict[str, Path]
-"""The files of a system by the motion that is in them."""
+"""Files of a system, by motion."""
 Trial = tuple[tuple[int, int], ...]
-"""What is seen and graded at once: motion and system, from left to right."""
+"""Clips that are shown and graded at once, as (motion, system), left to right."""
 
 
 def find_system(word: str) -> tuple[str, Motions]:
-    """Return the name and the motions of a system: NAME=PATH, or a path.
+    """Return the name and the motions of a system given as NAME=PATH or as a path.
 
-    Motions are called after their files, without suffixes; in a folder, also after the
-    folders below it. Raises an InputError if there are none, or two of one name.
+    A motion is named after its file without suffixes, including subfolders. Raises an
+    InputError if there is no motion, or if two have the same name.
     """
     name, equals, path = word.partition("=")
     if not equals or as_path(word).exists():
@@ -66,7 +66,7 @@ def find_system(word: str) -> tuple[str, Motions]:
 
 
 def motions_of(path: Path) -> Motions:
-    """Return the motions of a file or a folder, see ``find_system``."""
+    """Return the motions in a file or a folder, named as in ``find_system``."""
     if not path.is_dir():
         return {_motion_in(Path(path.name)): path}
     found: Motions = {}
@@ -88,9 +88,9 @@ def _motion_in(path: Path) -> str:
 
 
 def matched(systems: Mapping[str, Motions]) -> list[str]:
-    """Return the motions that all systems have; single files are the same motion.
+    """Return the motions that all systems have, or raise an InputError.
 
-    Raises an InputError if there is none.
+    If every system is a single file, all files are taken for the same motion.
     """
     first, *others = systems.values()
     if all(len(motions) == 1 for motions in systems.values()):
@@ -108,35 +108,35 @@ def matched(systems: Mapping[str, Motions]) -> list[str]:
 def planned(
     systems: int, motions: int, *, single: bool, repeats: int, seed: int
 ) -> list[Trial]:
-    """Return what is seen, in order, see ``write_rating_page``.
+    """Return the trials in order, see ``write_rating_page``.
 
-    Every two systems meet in every motion. Each is on the left as often as on the
-    right, up to one, and so is each of two among the times they meet.
+    Every two systems are compared in every motion. The counts of left and right differ
+    by at most one for each system, and for each system against each other one.
     """
     rng = np.random.default_rng(seed)
-    found: list[Trial] = []
+    trials: list[Trial] = []
     if single:
-        found = [((m, s),) for m in range(motions) for s in range(systems)]
+        trials = [((m, s),) for m in range(motions) for s in range(systems)]
     else:
         who, order = (rng.permutation(count).tolist() for count in (systems, motions))
         for a, b in combinations(range(systems), 2):
-            # Around a circle, each is on the left of the half that follows.
+            # Arranged in a circle, each is on the left of the half that follows it.
             ahead = 2 * (b - a) <= systems
             for k, motion in enumerate(order):
                 left, right = (a, b) if ahead == (k % 2 == 0) else (b, a)
-                found.append(((motion, who[left]), (motion, who[right])))
-    found = [found[k] for k in rng.permutation(len(found))]
-    return found + (found[:repeats] if single else _exchanged(found, repeats))
+                trials.append(((motion, who[left]), (motion, who[right])))
+    trials = [trials[k] for k in rng.permutation(len(trials))]
+    return trials + (trials[:repeats] if single else _swapped(trials, repeats))
 
 
-def _exchanged(found: Sequence[Trial], count: int) -> list[Trial]:
-    """Return some pairs with their sides exchanged, those that leave systems balanced.
+def _swapped(trials: Sequence[Trial], count: int) -> list[Trial]:
+    """Return some pairs with swapped sides, chosen to keep the sides balanced.
 
-    The first come first, as they were seen the longest ago.
+    Among equals the earliest is taken, as it was shown the longest ago.
     """
-    lead = Counter(left for (_, left), _ in found)  # how often a system is left
-    lead.subtract(right for _, (_, right) in found)  # rather than right
-    rest, again = list(found), list[Trial]()
+    lead = Counter(left for (_, left), _ in trials)  # how much more often left
+    lead.subtract(right for _, (_, right) in trials)  # than right, by system
+    rest, again = list(trials), list[Trial]()
     while rest and len(again) < count:
         pair = min(rest, key=lambda pair: lead[pair[1][1]] - lead[pair[0][1]])
         rest.remove(pair)
@@ -157,105 +157,98 @@ def write_rating_page(
     seed: int = 0,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Write the page, and the key that says whose clips are on it; return the key.
+    """Write the page, and the key that links its clips to systems; return the key.
 
     The page names neither systems nor motions.
 
-    Args:
-        systems: Two or more, with their motions.
-        path: The page.
-        key: The key (.json).
-        reference: How the people really moved; it is seen beside the clips.
-        single: Show one clip at a time, not two.
-        repeats: Trials that come once more at the end, with their sides exchanged.
-        seed: Of what is shuffled.
-        progress: Wraps the loop over motions, for a progress bar.
+    The page shows two clips at a time, or one if ``single``, and ``repeats`` trials
+    once more at the end with swapped sides. The true motions, ``reference``, are shown
+    beside the clips. The seed determines the order, the sides and the clip numbers.
 
     Raises:
-        InputError: Clips cannot be read, or are not of the same motions.
+        InputError: Clips cannot be read, or do not show the same motions.
     """
     if len(systems) < 2:
-        raise InputError("give two systems or more, to compare")
-    listed = {**systems, **({} if reference is None else {"--reference": reference})}
+        raise InputError("give two systems or more to compare")
+    listed = {**systems, **({"--reference": reference} if reference else {})}
     motions, names = matched(listed), list(systems)
     plan = planned(len(names), len(motions), single=single, repeats=repeats, seed=seed)
-    places = [(m, s) for m in range(len(motions)) for s in range(len(names))]
-    shuffled = np.random.default_rng((seed, 1)).permutation(len(places))
-    stages, drawn = [], list[dict[str, Any]]()
+    order = [(m, s) for m in range(len(motions)) for s in range(len(names))]
+    shuffled = np.random.default_rng((seed, 1)).permutation(len(order))
+    order = [order[k] for k in shuffled]
+    stages, packed_clips = [], list[dict[str, Any]]()
     skeleton: Skeleton | None = None
     for m, motion in enumerate(over(motions, "read", progress)):
         files = [own.get(motion) or next(iter(own.values())) for own in listed.values()]
         stage, clips = _staged(files)
-        skeleton = clips[0].skeleton if skeleton is None else skeleton
+        skeleton = skeleton or clips[0].skeleton
         if clips[0].skeleton != skeleton:
             raise InputError(f"{files[0]}: other joints than in {motions[0]}")
         if reference is not None:
             stage["reference"] = _packed(clips.pop())
         stages.append(stage)
-        drawn += [{"motion": m, **_packed(clip)} for clip in clips]
-    which = "the" if single else "each"
-    word, question = "natural", f"How natural is {which} movement?"
-    if reference is not None:
-        word = "accurate"
-        question = f"How accurate is {which} movement, beside what the person did?"
-    places = [places[k] for k in shuffled]
+        packed_clips += [{"motion": m, **_packed(clip)} for clip in clips]
+    word = "natural" if reference is None else "accurate"
+    question = f"How {word} is {'the' if single else 'each'} movement"
+    compared = "" if reference is None else ", compared with what the person did"
     contents: dict[str, Any] = {
         "seed": seed,
-        "question": question,
-        "word": word,  # what the highest grade means
+        "question": f"{question}{compared}?",
+        "word": word,  # meaning of the highest grade
         "highest": HIGHEST,
         "joints": clips[0].skeleton.joints,
         "parents": clips[0].skeleton.parents,
         "motions": stages,
-        "clips": [drawn[k] for k in shuffled],
-        "trials": [[places.index(place) for place in trial] for trial in plan],
+        "clips": [packed_clips[k] for k in shuffled],
+        "trials": [[order.index(clip) for clip in trial] for trial in plan],
     }
     page = hashlib.sha256(json.dumps(contents).encode()).hexdigest()[:16]
-    told = {
+    key_contents = {
         "page": page,
         "systems": names,
         "motions": motions,
-        "clips": [{"system": names[s], "motion": motions[m]} for m, s in places],
+        "clips": [{"system": names[s], "motion": motions[m]} for m, s in order],
         "trials": contents["trials"],
     }
     with new_text(key) as file:
-        file.write(json.dumps(told) + "\n")
+        file.write(json.dumps(key_contents) + "\n")
     files = [_TEMPLATE / f"rating.{suffix}" for suffix in ("html", "css", "js")]
     write_page(path, "How good are these movements?", {"page": page, **contents}, files)
-    return told
+    return key_contents
 
 
 def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
-    """Return the camera [mm, rad] of a motion, and the clips in it on one floor.
+    """Return the camera [mm, rad] of a motion, and its clips on a common floor.
 
-    A take whose feet are not where those of a clip are is leveled to that clip.
+    A take whose feet are not at the height of a clip's feet is leveled to that clip.
     """
     clips = [_read(file) for file in files]
     seconds = max(float(clip.time[-1]) for clip in clips)
     standing = _standing(clips)
     if standing is None:
         raise InputError(
-            f"{files[0]}: its feet are nowhere near y = 0, nor are another system's; "
-            "takes are leveled to a clip, so give one too"
+            f"{files[0]}: its feet are nowhere near y = 0, nor are those of another "
+            "system; takes are leveled to a clip, so give a clip too"
         )
     for k, (file, clip) in enumerate(zip(files, clips, strict=True)):
         if clip.skeleton != clips[0].skeleton:
             raise InputError(
-                f"{file}: other joints than {files[0]}; raters would see whose it is"
+                f"{file}: other joints than {files[0]}, which would give the system "
+                "away to raters; give clips of one skeleton"
             )
         if seconds - clip.time[-1] > _APART:
             raise InputError(
-                f"{file}: lasts {clip.time[-1]:.1f} s, the same motion elsewhere "
-                f"{seconds:.1f} s; give clips of the same take"
+                f"{file}: lasts {clip.time[-1]:.1f} s, but the same motion lasts "
+                f"{seconds:.1f} s in another system; give clips of the same take"
             )
         if isinstance(clip, Take):
             try:
                 clips[k] = replace(clip, positions=_on_floor(clip, standing))
             except InputError as error:
                 raise InputError(f"{file}: {error}") from None
-    everywhere = np.concatenate([clip.positions.reshape(-1, 3) for clip in clips])
-    near = np.clip(everywhere, -_FARTHEST, _FARTHEST)
-    low, high = 1e3 * np.nanpercentile(near, (1, 99), axis=0)
+    points = np.concatenate([clip.positions.reshape(-1, 3) for clip in clips])
+    points = np.clip(points, -_FARTHEST, _FARTHEST)
+    low, high = 1e3 * np.nanpercentile(points, (1, 99), axis=0)
     return {
         "seconds": seconds,
         "yaw": facing(standing) + _TURNED,
@@ -266,49 +259,46 @@ def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
 
 
 def _read(path: Path) -> Clip | Take:
-    """Read a clip or a take, with the time [s] from its first frame."""
+    """Read a clip or a take, with time [s] counted from its first frame."""
     is_clip = path.name.lower().endswith(_CLIPS)
     clip: Clip | Take = read_finite_clip(path) if is_clip else read_take(path)
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
-        raise InputError(f"{path}: two frames or more are needed to see a movement")
+        raise InputError(f"{path}: a movement needs two frames or more")
     return replace(clip, time=clip.time - clip.time[0])
 
 
 def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
-    """Return a clip that stands on the floor, if it can be one that says its tilt.
+    """Return a clip that stands on the floor, preferably one with a known tilt.
 
-    A CSV may be a take, in the frame of its sensor: only without other clips, the one
-    whose feet are nearest to y = 0.
+    A CSV may be a take in its sensor's frame. It counts only if there is no other clip;
+    then the one whose feet are nearest to y = 0 is taken.
     """
-    for known in (True, False):
-        for clip in clips:
-            if isinstance(clip, Clip) and np.isfinite(clip.tilt) == known:
-                return clip
+    if leveled_clips := [clip for clip in clips if isinstance(clip, Clip)]:
+        return max(leveled_clips, key=lambda clip: np.isfinite(clip.tilt))
     nearest = min(clips, key=lambda clip: abs(_foot_height(clip.positions)))
     return nearest if abs(_foot_height(nearest.positions)) < _NEAR else None
 
 
 def _on_floor(take: Take, standing: Clip | Take) -> Array:
-    """Return the joints [m] of a take, leveled, its feet as high as those of a clip.
+    """Return a take's joints [m], leveled and with feet at a clip's height, (T, J, 3).
 
-    What is no higher or lower than the clip is returned as it is, shape (T, J, 3).
+    A take that is already at the clip's height is returned unchanged.
     """
-    wanted, places = _foot_height(standing.positions), take.positions
-    if abs(_foot_height(places) - wanted) < _OFF:
-        return places
+    height, positions = _foot_height(standing.positions), take.positions
+    if abs(_foot_height(positions) - height) < _OFF:
+        return positions
     if isinstance(standing, Clip) and np.isfinite(standing.tilt):
-        places = leveled(places, standing.tilt, standing.roll)
+        positions = leveled(positions, standing.tilt, standing.roll)
     else:
-        places = leveled_to_clip(take, standing)
-    rise = np.array([0.0, wanted - _foot_height(places), 0.0])
-    return np.asarray(places + rise)
+        positions = leveled_to_clip(take, standing)
+    rise = np.array([0.0, height - _foot_height(positions), 0.0])
+    return np.asarray(positions + rise)
 
 
 def _foot_height(positions: Array) -> float:
-    """Return the height [m] of the lowest joint, the median over frames (T, J, 3)."""
-    heights = positions[..., 1]
-    there = ~np.isnan(heights).all(axis=1)
-    return float(np.median(np.nanmin(heights[there], axis=1))) if there.any() else 0.0
+    """Return the median height [m] of the lowest joint, 0 if no joint is known."""
+    lowest = np.fmin.reduce(positions[..., 1], axis=1)
+    return float(np.nanmedian(lowest)) if np.isfinite(lowest).any() else 0.0
 
 
 def _packed(clip: Clip | Take) -> dict[str, dict[str, str]]:

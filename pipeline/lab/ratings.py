@@ -1,10 +1,10 @@
-"""What the answers from a page of ``rating`` say of the systems.
+"""Statistics of the grades that raters gave on a page of ``rating``.
 
-Shum et al. 2013 (Figure 6) print the mean grade of each method and the standard
-deviation, and say "significantly" without naming a test. Here it is Wilcoxon's signed
-ranks for each two systems, as all raters grade both and grades need not be normal,
-corrected for the number of tests after Holm 1979 (A simple sequentially rejective
-multiple test procedure, Scandinavian Journal of Statistics 6).
+Shum et al. 2013 (Figure 6) print the mean grade and standard deviation of each method,
+and say "significantly" without naming a test. Here every two systems are compared by
+Wilcoxon's signed-rank test, because all raters grade both systems and grades need not
+be normal. The p-values are corrected for multiple testing after Holm 1979 (A simple
+sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6).
 """
 
 from __future__ import annotations
@@ -22,66 +22,65 @@ from scipy import stats
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, shown
 from kinefilter.pipeline.formats.files import read_limited
-from kinefilter.pipeline.formats.plain import printable
+from kinefilter.pipeline.formats.plain import counted, printable
 
 from .rating import HIGHEST
 
 Figures = dict[str, Any]
 Answer = tuple[tuple[int, ...], tuple[int, ...]]
-"""Clips in a trial, by their place in the key, and their grades."""
+"""Clips of a trial, as indices into the key, and their grades."""
 Raters = dict[str, list[Answer]]
-"""Answers by who gave them."""
+"""Answers, by rater."""
 
 _LARGEST = 2**24  # bytes of answers, or of a key
 _LEVEL = 0.95
-_FAR_APART = 3.0  # grades; a guess
+_FAR_APART = 3.0  # grades between two looks at the same clip; a guess
 
 
 class Key(NamedTuple):
-    """Whose clips are on a page."""
+    """The systems and motions behind the clips of a page."""
 
     page: str
     systems: list[str]
     motions: list[str]
     clips: list[tuple[int, int]]  # system and motion of each
-    trials: list[tuple[int, ...]]  # the clips in each, in order of their place
+    trials: list[tuple[int, ...]]  # clips of each, sorted
 
 
 def read_key(path: Path) -> Key:
-    """Read whose clips are on a page; raises an InputError if it is no such file."""
-    found = _read(path)
+    """Read the key of a page, or raise an InputError."""
+    content = _read(path)
     try:
         systems, motions = (
-            [printable(k) for k in found[n]] for n in ("systems", "motions")
+            [printable(name) for name in content[key]] for key in ("systems", "motions")
         )
         clips = [
             (systems.index(clip["system"]), motions.index(clip["motion"]))
-            for clip in found["clips"]
+            for clip in content["clips"]
         ]
-        trials = [tuple(sorted(_integers(trial))) for trial in found["trials"]]
+        trials = [tuple(sorted(_integers(trial))) for trial in content["trials"]]
         seen = {clip for trial in trials for clip in trial}
         whole = len(set(clips)) == len(clips) == len(systems) * len(motions)
-        if not whole or len(systems) < 2 or seen != set(range(len(clips))):
+        whole = whole and seen == set(range(len(clips))) and len(systems) > 1
+        if not whole or {len(trial) for trial in trials} not in ({1}, {2}):
             raise ValueError
-        if {len(trial) for trial in trials} not in ({1}, {2}):
-            raise ValueError
-        return Key(str(found["page"]), systems, motions, clips, trials)
+        return Key(str(content["page"]), systems, motions, clips, trials)
     except (KeyError, TypeError, ValueError):
         raise InputError(
             f"{path}: not the key of a page; give the file that 'kinefilter rate' "
-            "wrote beside it"
+            "wrote beside the page"
         ) from None
 
 
 def read_answers(paths: Sequence[Path], key: Key) -> Raters:
-    """Read answers; raises an InputError unless all are whole and of the key's page."""
+    """Read answers, or raise an InputError unless all fit the key and are complete."""
     raters: Raters = {}
     for path in paths:
         rater, answers = _answers_in(path, key)
         if rater in raters:
             raise InputError(
-                f"{path}: a second file of rater {rater!r}; keep one of them, or "
-                "change the name in it if they are two people"
+                f"{path}: a second file of rater {rater!r}; keep one of the two, or "
+                "change the name in one if they are two people"
             )
         raters[rater] = answers
     if not raters:
@@ -90,8 +89,8 @@ def read_answers(paths: Sequence[Path], key: Key) -> Raters:
 
 
 def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
-    found = _read(path)
-    page, rater, given = (found.get(name) for name in ("page", "rater", "answers"))
+    content = _read(path)
+    page, rater, given = (content.get(name) for name in ("page", "rater", "answers"))
     if page != key.page:
         other = "of no page" if page is None else f"of page {shown(page)}"
         raise InputError(
@@ -108,7 +107,7 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
             "for the file again"
         )
     for n, (clips, grades) in enumerate(answers):
-        valid = [type(g) is int and 1 <= g <= HIGHEST for g in grades]  # no truths
+        valid = [type(g) is int and 1 <= g <= HIGHEST for g in grades]  # not bool
         if len(grades) != len(clips) or not all(valid):
             raise InputError(
                 f"{path}: answer {n + 1} has grades {shown(list(grades))}, expected "
@@ -118,7 +117,7 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
 
 
 def _integers(values: Any) -> tuple[int, ...]:
-    """Return whole numbers as they are; raises a TypeError if they are none."""
+    """Return integers as a tuple, or raise a TypeError."""
     if not all(type(value) is int for value in values):
         raise TypeError
     return tuple(values)
@@ -126,24 +125,24 @@ def _integers(values: Any) -> tuple[int, ...]:
 
 def _read(path: Path) -> Figures:
     try:
-        found = json.loads(read_limited(path, _LARGEST))
+        content = json.loads(read_limited(path, _LARGEST))
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        content = None
+    if not isinstance(content, dict):
         raise InputError(f"{path}: not JSON of 'kinefilter rate' or its page")
-    return found
+    return content
 
 
 def summarize(raters: Raters, key: Key) -> Figures:
-    """Return means, intervals, preferences and tests of systems, and of each rater.
+    """Return statistics of systems, of pairs of systems, and of raters.
 
-    A rater's grades of a clip that was seen several times count as their mean.
-    Intervals are Student's, over raters; NaN if there is one rater alone.
+    If a rater graded a clip several times, the mean counts. Confidence intervals are
+    Student's, over raters; NaN for a single rater.
     """
     grades = np.array([_grades(answers, key) for answers in raters.values()])  # R, S, M
-    means = grades.mean(axis=2)
+    means, by_motion = grades.mean(axis=2), grades.mean(axis=0)
     count = len(key.systems)
-    better = np.zeros((count, count), dtype=int)  # how often one of two was
+    better = np.zeros((count, count), dtype=int)  # [a, b]: a was graded higher than b
     equal = np.zeros_like(better)
     for clips, given in (answer for answers in raters.values() for answer in answers):
         for (a, first), (b, second) in permutations(zip(clips, given, strict=True), 2):
@@ -157,9 +156,7 @@ def summarize(raters: Raters, key: Key) -> Figures:
             **_mean(means[:, s]),
             "sd": float(grades[:, s].std(ddof=1)) if grades[:, s].size > 1 else np.nan,
             "preferred": float(won[s] / met[s]) if met[s] else np.nan,
-            "motions": dict(
-                zip(key.motions, grades[:, s].mean(axis=0).tolist(), strict=True)
-            ),
+            "motions": dict(zip(key.motions, by_motion[s].tolist(), strict=True)),
         }
         for s, name in enumerate(key.systems)
     }
@@ -189,7 +186,7 @@ def _grades(answers: Sequence[Answer], key: Key) -> Array:
 
 
 def _mean(values: Array) -> Figures:
-    """Return the mean and its interval over raters."""
+    """Return the mean and its confidence interval over raters."""
     low = high = np.nan
     if len(values) > 1:
         half = stats.sem(values) * stats.t.ppf((1 + _LEVEL) / 2, len(values) - 1)
@@ -198,7 +195,7 @@ def _mean(values: Array) -> Figures:
 
 
 def wilcoxon(differences: Array) -> float:
-    """Return the p-value of Wilcoxon's signed ranks, 1 if there is no difference."""
+    """Return the p-value of Wilcoxon's signed-rank test, 1 without any difference."""
     differences = np.round(differences, 9)  # equal means may differ by rounding
     if not differences.any():
         return 1.0
@@ -206,7 +203,7 @@ def wilcoxon(differences: Array) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Return p-values corrected for their number, in the same order (Holm 1979)."""
+    """Return p-values corrected for multiple testing, in the same order (Holm 1979)."""
     order = np.argsort(p)
     factors = len(p) - np.arange(len(p))
     raised = np.minimum(np.maximum.accumulate(np.asarray(p)[order] * factors), 1.0)
@@ -214,13 +211,13 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def _agreement(answers: Sequence[Answer]) -> Figures:
-    """Return how far a rater agrees with the same rater in trials that came twice.
+    """Return how consistently a rater answered the trials that came twice.
 
-    In those that are ``reversed`` the other of two was better the second time;
-    ``apart`` is the mean difference of the grades of the same clip.
+    In trials counted as ``reversed``, the other of the two clips was better the second
+    time. ``apart`` is the mean difference between two grades of the same clip.
     """
     first: dict[tuple[int, ...], dict[int, int]] = {}
-    twice = turned = 0
+    twice = reversals = 0
     apart = []
     for clips, grades in answers:
         now = dict(zip(clips, grades, strict=True))
@@ -230,20 +227,19 @@ def _agreement(answers: Sequence[Answer]) -> Figures:
         twice += 1
         apart += [abs(now[clip] - before[clip]) for clip in now]
         a, b = clips[0], clips[-1]
-        turned += (now[a] - now[b]) * (before[a] - before[b]) < 0
+        reversals += (now[a] - now[b]) * (before[a] - before[b]) < 0
     return {
         "same_grade": len({grade for _, grades in answers for grade in grades}) == 1,
         "twice": twice,
-        "reversed": int(turned),
+        "reversed": int(reversals),
         "apart": float(np.mean(apart)) if apart else np.nan,
     }
 
 
 def as_tables(figures: Figures) -> tuple[Table, Table]:
-    """Return the systems, and each two of them, for a terminal."""
-    count = len(figures["raters"])
+    """Return tables of the systems and of their pairs for the terminal."""
     systems = Table("system", title=f"grades, 1 to {HIGHEST}")
-    pairs = Table("difference", title="each two systems")
+    pairs = Table("difference", title="pairs of systems")
     for table, headings in (
         (systems, ("mean", "95 % interval", "SD", "preferred")),
         (pairs, ("mean", "95 % interval", "p", "Holm", "more, same, less")),
@@ -251,38 +247,38 @@ def as_tables(figures: Figures) -> tuple[Table, Table]:
         for heading in headings:
             table.add_column(heading, justify="right", no_wrap=True)
     for name, row in figures["systems"].items():
-        shown_ = _figure(100 * row["preferred"], 0, " %")
-        systems.add_row(name, *_interval(row), _figure(row["sd"]), shown_)
+        preferred = _figure(100 * row["preferred"], 0, " %")
+        systems.add_row(name, *_interval(row), _figure(row["sd"]), preferred)
     for row in figures["pairs"]:
         better, worse = row["better"]
         counts = f"{better}, {row['equal']}, {worse}" if better + worse else ""
         ps = [_figure(row[p], 4) for p in ("p", "p_holm")]
         pairs.add_row(" - ".join(row["systems"]), *_interval(row), *ps, counts)
     systems.caption = (
-        f"{count} rater{'s' * (count != 1)}; preferred: share of the pairs in which it "
-        "had the higher grade"
+        f"{counted(len(figures['raters']), 'rater')}; preferred: share of the pairs in "
+        "which the system had the higher grade"
     )
-    pairs.caption = "p: Wilcoxon's signed ranks, over raters, and corrected after Holm"
+    pairs.caption = "p: Wilcoxon's signed-rank test over raters, and after Holm"
     return systems, pairs
 
 
 def doubts(figures: Figures) -> list[str]:
-    """Return who may not have looked, or contradicts themselves, in sentences."""
-    told = []
+    """Return sentences about raters whose grades are all equal or inconsistent."""
+    sentences = []
     for rater, row in figures["raters"].items():
         if row["same_grade"]:
-            told.append(f"{rater} gave everything the same grade")
+            sentences.append(f"{rater} gave everything the same grade")
         if row["reversed"]:
-            told.append(
-                f"{rater} found the other of two better the second time, in "
-                f"{row['reversed']} of {row['twice']} trials that came twice"
+            sentences.append(
+                f"{rater} preferred the other clip the second time in "
+                f"{row['reversed']} of {counted(row['twice'], 'repeated trial')}"
             )
         elif row["apart"] >= _FAR_APART:
-            told.append(
-                f"{rater} graded the same clips {row['apart']:.1f} apart the second "
-                "time, in the mean"
+            sentences.append(
+                f"{rater} graded the same clips {row['apart']:.1f} apart on average "
+                "the second time"
             )
-    return told
+    return sentences
 
 
 def _interval(row: Figures) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Recorded pairs of Kinect and marker mocap as performances before another sensor."""
+"""Recorded pairs of Kinect and mocap, and mocap as performances for virtual sensors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V1, InputError, Motion, Skeleton, State, Take
+from kinefilter.characters import (
+    KINECT_V1,
+    Body,
+    InputError,
+    Motion,
+    Skeleton,
+    State,
+    Take,
+)
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.floor import clearances
 from kinefilter.retarget import (
     HeadingFrame,
@@ -31,16 +40,16 @@ from kinefilter.scenes.sensor import (
 from .database_build import mocap_body, whole_frames
 
 DISTANCE = 2.5
-"""Distance [m] from the Kinect at which ui-prmd's people stand."""
+"""Distance [m] of the people in UI-PRMD from the Kinect."""
 _SENSOR = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
 index = KINECT_V1.index
 UNSEEN = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
-"""Joints that the recordings lack."""
+"""Joints that the mocap lacks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A clip: what a Kinect said [m] and what happened, both in the world's frame."""
+    """A clip: joint positions by Kinect and mocap [m], both in the world frame."""
 
     clip: str
     kinect: Array
@@ -48,7 +57,7 @@ class Pair:
     act: Motion
     """The mocap on a body of constant segment lengths."""
     inferred: Flags | None = None
-    """Joints that a simulated tracker does not call tracked, (T, 20)."""
+    """Joints that a simulated tracker does not report as tracked, (T, 20)."""
 
     @property
     def error(self) -> Array:
@@ -59,7 +68,7 @@ class Pair:
 
 
 def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
-    """Yield the clips of a person that have no long gaps in the mocap."""
+    """Yield a person's clips whose mocap has every joint, after gaps are filled."""
     with np.load(file, allow_pickle=False) as arrays:
         data = {k: arrays[k] for k in ("clip", "kinect", "mocap", "start", "stop")}
     spans = zip(data["clip"], data["start"], data["stop"], strict=True)
@@ -68,20 +77,22 @@ def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
         if np.isfinite(mocap).all():
             shift = np.array([0.0, 0.0, DISTANCE])
             kinect = data["kinect"][start:stop].astype(float) + shift
-            truth = mocap + shift
-            yield Pair(str(clip), kinect, truth, _act(truth, str(clip)))
+            mocap += shift
+            lengths = np.median(segment_lengths(mocap, KINECT_V1), axis=0)
+            body, time = measured_body(KINECT_V1, lengths), np.arange(len(mocap)) / 30.0
+            yield Pair(str(clip), kinect, mocap, _motion(time, mocap, body, str(clip)))
 
 
 def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:
-    """Return the clip as the virtual Kinect sees it, by one of its trackers."""
+    """Return the clip as a tracker of the virtual Kinect sees it."""
     take = _observed(pair, tracker)
     kinect = in_world_frame(take.positions, _SENSOR)
-    unsure = take.state != State.TRACKED
-    return replace(pair, kinect=kinect, mocap=pair.act.positions, inferred=unsure)
+    inferred = take.state != State.TRACKED
+    return replace(pair, kinect=kinect, mocap=pair.act.positions, inferred=inferred)
 
 
 def paired_by(pair: Pair, tracker: Tracker = "model") -> PairedTake:
-    """Return the same as a pair of a take and its truth, in the sensor's frame."""
+    """Return the same as a take and its ground truth, in the sensor frame."""
     truth = in_sensor_frame(pair.act.positions, _SENSOR)
     return PairedTake(_observed(pair, tracker), truth, pair.clip[4:7], pair.clip)
 
@@ -93,17 +104,14 @@ def _observed(pair: Pair, tracker: Tracker) -> Take:
 
 
 def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
-    """Return the motion of a mocap file, in the middle of the world's floor.
+    """Return the motion of a mocap file, resampled and centered on the world's floor.
 
-    The body is that of the recording, on another skeleton. It faces +z to begin with.
-
-    Args:
-        path: A file that ``database build`` reads, such as one of CMU's.
-        skeleton: The joints of the motion; those that the file has not hang at rest.
-        fps: Frames a second, between which joints go straight.
+    It is performed by the body in the file, on ``skeleton``, and starts facing +z.
+    Joints that the file lacks keep their rest posture; positions are interpolated
+    linearly.
 
     Raises:
-        InputError: It is no mocap, of unknown joints, or has too few whole frames.
+        InputError: The file is not mocap, or has unknown joints or too few frames.
     """
     mocap = read_mocap(path)
     positions = kinect_motion(mocap, skeleton, RIGS).positions
@@ -111,28 +119,22 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     whole = whole_frames(positions)
     stamps = mocap.frame_time * np.flatnonzero(whole)
     if len(stamps) < 2:
-        raise InputError(f"{path}: no two frames have all joints; give whole bodies")
+        raise InputError(
+            f"{path}: fewer than two frames have all joints; give mocap of whole bodies"
+        )
     flat = unit * positions[whole].reshape(len(stamps), -1)
     time = np.arange(stamps[0], stamps[-1], 1.0 / fps)
     even = np.stack([np.interp(time, stamps, column) for column in flat.T], axis=1)
-    joints = even.reshape(len(time), len(skeleton), 3)
-    joints = hang_missing(joints, body)
+    joints = hang_missing(even.reshape(len(time), len(skeleton), 3), body)
     yaw = find_yaw(joints[0], np.ones(len(skeleton)), skeleton)
     joints = HeadingFrame(np.zeros(3), np.nan_to_num(yaw)).remove(joints)
     joints -= 0.5 * (joints.min(axis=(0, 1)) + joints.max(axis=(0, 1)))
     joints[..., 1] -= (joints[..., 1] - clearances(body)).min()
-    turns = rotations_from_positions(joints, body)
-    return Motion(
-        time=time - time[0],
-        body=body,
-        root=joints[:, skeleton.root],
-        rotations=turns,
-        source=path.name,
-    )
+    return _motion(time - time[0], joints, body, path.name)
 
 
 def _completed(mocap: Array) -> Array:
-    """Fill marker gaps linearly, the spine between its ends, and the hands."""
+    """Fill gaps linearly, and add the spine and the hands by fixed proportions."""
     flat = mocap.reshape(len(mocap), -1).copy()
     rows = np.arange(len(flat))
     for column in flat.T:
@@ -142,24 +144,17 @@ def _completed(mocap: Array) -> Array:
     filled = flat.reshape(mocap.shape)
     trunk = filled[:, index("HipCenter")], filled[:, index("ShoulderCenter")]
     filled[:, index("Spine")] = 0.45 * trunk[0] + 0.55 * trunk[1]
-    for side in ("Left", "Right"):
-        wrist = filled[:, index(f"Wrist{side}")]
-        forearm = wrist - filled[:, index(f"Elbow{side}")]
-        filled[:, index(f"Hand{side}")] = wrist + 0.3 * forearm
+    sides = KINECT_V1.sides
+    wrists = filled[:, sides("Wrist")]
+    filled[:, sides("Hand")] = wrists + 0.3 * (wrists - filled[:, sides("Elbow")])
     return filled
 
 
-def _act(positions: Array, name: str) -> Motion:
-    seg, par = KINECT_V1.segments, KINECT_V1.segment_parents
-    bones = np.linalg.norm(positions[:, seg] - positions[:, par], axis=-1)
-    lengths = np.full(len(KINECT_V1), np.nan)
-    lengths[seg] = np.median(bones, axis=0)
-    body = measured_body(KINECT_V1, lengths)
-    turn = rotations_from_positions(positions, body)
+def _motion(time: Array, positions: Array, body: Body, source: str) -> Motion:
     return Motion(
-        time=np.arange(len(positions)) / 30.0,
+        time=time,
         body=body,
-        root=positions[:, KINECT_V1.root],
-        rotations=turn,
-        source=name,
+        root=positions[:, body.skeleton.root],
+        rotations=rotations_from_positions(positions, body),
+        source=source,
     )

@@ -1,6 +1,6 @@
-"""The built-in motion database, made again from scripted performances.
+"""The built-in motion database, built from scripted performances.
 
-``kinefilter database build --scripted`` writes it; the wheel ships what it wrote in
+``kinefilter database build --scripted`` writes it; the result ships in
 ``pipeline/embedded``.
 """
 
@@ -16,23 +16,18 @@ from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
-from .database_build import (
-    POSTURES_PER_SECOND,
-    filtered_database,
-    standard_postures,
-)
+from .database_build import POSTURES_PER_SECOND, filtered_database, standard_postures
 
 BUILTIN_POSTURES = 5000
-"""About how many the built-in database holds: twice Shum's, so that half of the real
-postures are within 8 cm of one."""
-
+"""Approximate size of the built-in database: twice that of Shum et al., so that half of
+the postures in real mocap are within 8 cm of one."""
 _PEOPLE = 6
 
 
 def scripted_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
-    """Perform every scripted motion and keep what differs."""
+    """Perform every scripted motion and keep postures that differ."""
     parts = scripted_postures(skeleton, progress)
     return filtered_database(
         parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
@@ -42,12 +37,12 @@ def scripted_database(
 def scripted_postures(
     skeleton: Skeleton, progress: Progress = silent, *, people: int = _PEOPLE
 ) -> Iterator[tuple[str, Array, Array]]:
-    """Yield name, postures and rotations of every scripted performance.
+    """Yield the name, postures and segment rotations of every scripted performance.
 
-    People of different height and build perform. Postures and segment rotations are
-    on the standard body, 30 a second.
+    The performers differ in height and build; the postures are on the standard body, 30
+    a second.
     """
-    # Every motion once, then again: the filter keeps what comes first.
+    # All motions by one person, then by the next: the filter keeps earlier postures.
     for k in progress("motion database", people * len(MOTIONS)):
         seed, name = k // len(MOTIONS), MOTIONS[k % len(MOTIONS)]
         body = random_body(skeleton, np.random.default_rng(seed))

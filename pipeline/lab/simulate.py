@@ -1,4 +1,4 @@
-"""Takes whose truth is known: a performance in a scene, before the virtual Kinect."""
+"""Simulated takes with ground truth: performances recorded by virtual Kinects."""
 
 from __future__ import annotations
 
@@ -27,17 +27,10 @@ from kinefilter.scenes.sensor import (
 
 from .recorded_acts import mocap_act
 
-_IN_SCENE = {
-    "basketball": "basketball",
-    "box": "lift_box",
-    "chair": "chair",
-    "flip_chart": "flip_chart",
-    "office": "office",
-}
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 _OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
 _IN_THE_WAY = ("office", "flip_chart", "box")
-"""Scenes with a thing before a person who does something else."""
+"""Scenes with a prop in front of a person who does something else."""
 _HANDLED = (
     ("box", "lift_box"),
     ("flip_chart", "flip_chart"),
@@ -46,19 +39,19 @@ _HANDLED = (
     ("chair", "sit_to_stand"),
     ("office", "office"),
 )
-"""Scenes and what people do with the thing in them."""
+"""Scenes, and motions that use their props."""
+_IN_SCENE = dict(reversed(_HANDLED))
+"""Default motion of each scene: the first of those above."""
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
-"""Motions that go through things, or need one."""
+"""Motions that would pass through props, or need one."""
 _AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all
-_LEARNED_FROM = 100  # seed of the first of the people whom methods learn from
-_ROOM = 0.25  # m around the root of who walks, for feet and elbows: a guess
+_MOST_PEOPLE = 900  # in training data; the people of studies have seeds from 1000 on
+_LEARNED_FROM = 100  # seed of the first person in training data
+_ROOM = 0.25  # m around the root, for the feet and elbows of a walker: a guess
 
 
 def motion_for(scene: str | Path) -> str:
-    """Return what a person does in a scene: something with what is there, on the spot.
-
-    Without anything there, and in scenes of users, they squat.
-    """
+    """Return the default motion in a scene: using its prop, or else squatting."""
     return _IN_SCENE.get(str(scene), "squat")
 
 
@@ -73,25 +66,25 @@ def simulate(
     stay_in_view: bool = False,
     tracker: Tracker = "model",
 ) -> PairedTake:
-    """Return what a virtual Kinect sees of a motion in a scene, and the truth.
+    """Return the take of a virtual Kinect of a motion in a scene, with ground truth.
 
     Args:
         scene: One of ``SCENES``, or the path of an MJCF file.
         motion: One of ``MOTIONS``, or the path of a mocap file.
         sensor: One of ``SENSORS``.
         skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
-            Kinect, Kinect v2's).
-        seed: Draws the person, the performance and the sensor's errors.
-        person: Draws the person alone, with what the sensor always errs by in them;
-            by default the seed.
-        stay_in_view: Let gaits go around in the sensor's view. By default they go
-            straight ahead and leave it, as in the takes that the embedded weights and
-            the figures come from: studies and training keep to that. Other motions are
-            the same either way.
-        tracker: How joints are found: ``model``, or in ``depth`` images.
+            Kinect, that of Kinect v2).
+        seed: Seed of the person, the performance and the sensor's errors.
+        person: Seed of the person and of the sensor's constant errors for them; by
+            default ``seed``.
+        stay_in_view: Walk in circles within the sensor's view. By default gaits go
+            straight and leave the view, as in the takes behind the embedded weights
+            and the published figures; studies and training keep this default. Other
+            motions are unaffected.
+        tracker: How joints are found: ``model``, or ``depth`` from depth images.
 
     Raises:
-        InputError: An unknown scene, motion, sensor, skeleton or tracker.
+        InputError: The scene, motion, sensor, skeleton or tracker is unknown.
     """
     if sensor not in SENSORS:
         raise InputError(f"unknown name {sensor!r}; known: {', '.join(SENSORS)}")
@@ -118,7 +111,7 @@ def simulate(
 def _performed(
     motion: str, body: Body, seed: int, fps: float, within: Area | None
 ) -> Motion:
-    """Return what a person does, or somebody else did before a mocap system."""
+    """Return a scripted motion by a body, or the motion of a mocap file."""
     if motion in MOTIONS or not Path(motion).suffix:
         return perform(motion, body, seed=seed, fps=fps, within=within)
     return mocap_act(Path(motion), body.skeleton, fps)
@@ -129,22 +122,19 @@ def _named(motion: str) -> str:
 
 
 def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
-    """Return the true joints [m] at a take's frames, time counted from the first."""
-    # Frames that never arrived have no truth; stamps tremble far less than a frame.
+    """Return the true joints [m] at a take's frames."""
+    # Dropped frames are skipped; time stamps jitter by far less than a frame.
     stamps = take.time - 0.5 * np.diff(act.time).mean() + act.time[0]
     frames = np.minimum(np.searchsorted(act.time, stamps), len(act) - 1)
     return np.asarray(in_sensor_frame(act.positions, sensor)[frames])
 
 
 class SimulatedView(NamedTuple):
-    """What one of several virtual Kinects saw."""
+    """The recording of one of several virtual Kinects."""
 
-    pair: PairedTake
-    """The take, by the sensor's clock, and the truth in its frame."""
+    pair: PairedTake  # in the sensor's time and frame
     sensor: Sensor
-    """Where it stands."""
-    clock: Clock
-    """What its clock shows, for seconds of the performance."""
+    clock: Clock  # converts seconds of the performance to the sensor's time
 
 
 def simulate_session(
@@ -155,25 +145,19 @@ def simulate_session(
     degrees: float = 90.0,
     seed: int = 0,
 ) -> list[SimulatedView]:
-    """Return what several virtual Kinects see of a person at once, and the truth.
+    """Return the simultaneous takes of several virtual Kinects, with ground truth.
 
-    Each has its own skeleton, errors, height, tilt and clock, which shows any time and
-    gains or loses up to 0.1 ms a second, and takes its frames between those of the
-    others. The truth of each is in its own frame, at its own frames.
-
-    Args:
-        scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``, or the path of a mocap file.
-        sensors: Some of ``SENSORS``; the person faces the first.
-        degrees: Angle at which each next sensor stands, around the person.
-        seed: Draws person, performance, errors, places and clocks.
+    Each sensor has its own skeleton, errors, height, tilt and clock. Clocks start at an
+    arbitrary time and drift by up to 0.1 ms per second; the sensors' frames interleave.
+    The ground truth is in each sensor's frame, at its own frames. Scenes and motions
+    are those of ``simulate``. The person faces the first of ``sensors``, which stand
+    ``degrees`` apart around the person. The seed determines everything random.
     """
     rng, room = np.random.default_rng([seed, 2]), load_scene(scene)
     views, count = [], len(sensors)
     for k, name in enumerate(sensors):
         body = random_body(SKELETONS[_SKELETON[name]], np.random.default_rng(seed))
-        area = Area(_AMONG, _AMONG)
-        whole = _performed(motion, body, seed, 30.0 * count, area)
+        whole = _performed(motion, body, seed, 30.0 * count, Area(_AMONG, _AMONG))
         act = whole.at(slice(k, None, count))
         poses = {prop: rows[k::count] for prop, rows in prop_poses(room, whole).items()}
         sensor = replace(
@@ -200,7 +184,7 @@ def simulate_session(
 
 
 def area_in_view(sensor: Sensor, height: float) -> Area:
-    """Return where on the floor a person is in a sensor's view from head to foot."""
+    """Return the floor area in which a sensor sees a person from head to foot."""
     place = np.arange(-4.0, 4.0, 0.05)
     around = [(x, y, z) for x in (-1, 1) for y in (0, 1) for z in (-1, 1)]
     person = np.array([_ROOM, height, _ROOM]) * around
@@ -217,13 +201,7 @@ def area_in_view(sensor: Sensor, height: float) -> Area:
 
 
 def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedTake:
-    """Return the take of a Kinect v2 of person ``k`` of ``simulated_pairs``.
-
-    Args:
-        k: Which person, from 0 on; their motion is the kth of the library.
-        skeleton: Name of the take's skeleton.
-        tracker: How joints are found.
-    """
+    """Return the Kinect v2 take of person ``k`` of ``simulated_pairs``, from 0 on."""
     motion = MOTIONS[k % len(MOTIONS)]
     return simulate(
         "basic", motion, skeleton=skeleton, seed=_LEARNED_FROM + k, tracker=tracker
@@ -233,38 +211,28 @@ def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedT
 def simulated_pairs(
     skeleton: str, *, people: int = 400, progress: Progress = silent
 ) -> list[PairedTake]:
-    """Return takes of Kinect v2 to learn from, each of another simulated person.
+    """Return Kinect v2 takes for training, each of another simulated person.
 
-    One motion of the library after the other, on a bare floor. Nobody in them is in
-    the built-in database or in the studies.
-
-    Args:
-        skeleton: Name of the takes' skeleton.
-        people: How many, at most 900.
-        progress: Wraps the loop over the takes, for a progress bar.
+    At most 900 people perform the motions of the library in turn, on an empty floor.
+    None of them is in the built-in database or in the studies.
     """
-    people = min(people, 900)
+    people = min(people, _MOST_PEOPLE)
     return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
 
 
 def furnished_pairs(
     skeleton: str, *, people: int = 600, progress: Progress = silent
 ) -> list[PairedTake]:
-    """Return takes to learn from in which things hide people as well.
+    """Return takes for training in which props hide people too.
 
-    Of ten people four move on a bare floor, three behind a thing, and three do
-    something with one. They are people of ``simulated_pairs``, seen by the sensor whose
-    skeleton it is.
-
-    Args:
-        skeleton: Name of the takes' skeleton.
-        people: How many, at most 900.
-        progress: Wraps the loop over the takes, for a progress bar.
+    Of ten people, four move on an empty floor, three behind a prop, and three use a
+    prop. They are the people of ``simulated_pairs``, seen by the sensor that has the
+    skeleton.
     """
     rng = np.random.default_rng(0)
     standing = [motion for motion in MOTIONS if motion not in _ELSEWHERE]
     pairs = []
-    for k in progress("simulate", min(people, 900)):
+    for k in progress("simulate", min(people, _MOST_PEOPLE)):
         turn = k % 10
         if turn < 4:
             scene, motion = "basic", str(rng.choice(MOTIONS))
@@ -278,28 +246,29 @@ def furnished_pairs(
 
 
 def truth_of(pair: PairedTake) -> Take:
-    """Return the truth of a simulated take as a take without any error."""
+    """Return the ground truth of a pair as a take without errors."""
     state = np.full(pair.take.state.shape, State.TRACKED, dtype=np.uint8)
     return Take(pair.take.time, pair.truth, state, pair.take.skeleton, pair.clip)
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
-    """Write clips of one person as a pairs file, as ``read_pairs`` reads them.
+    """Write clips of one person as a pairs file, see ``read_pairs``.
 
-    Clips are at a constant rate there: the median of the stamps' is written.
+    Pairs files have a constant frame rate: the median rate of the clips is written.
 
     Raises:
         InputError: The file cannot be written.
     """
-    stop = np.cumsum([len(pair.take) for pair in pairs])
-    steps = np.concatenate([np.diff(pair.take.time) for pair in pairs])
+    takes = [pair.take for pair in pairs]
+    stop = np.cumsum([len(take) for take in takes])
+    steps = np.concatenate([np.diff(take.time) for take in takes])
     arrays = {
-        "joints": np.array(pairs[0].take.skeleton.joints),
+        "joints": np.array(takes[0].skeleton.joints),
         "fps": np.float32(1.0 / np.median(steps)),
         "subject": np.array(pairs[0].subject),
-        "kinect": np.concatenate([pair.take.positions for pair in pairs]),
+        "kinect": np.concatenate([take.positions for take in takes]),
         "mocap": np.concatenate([pair.truth for pair in pairs]),
-        "state": np.concatenate([pair.take.state for pair in pairs]),
+        "state": np.concatenate([take.state for take in takes]),
         "clip": np.array([pair.clip for pair in pairs]),
         "start": np.concatenate([[0], stop[:-1]]),
         "stop": stop,

@@ -1,4 +1,4 @@
-"""Arrays larger than memory: they grow in a file on disk and are read through a map."""
+"""Arrays larger than memory, written to a file on disk and read memory-mapped."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from kinefilter.characters import InputError
 
 
 class Spool:
-    """Rows put aside one part after another, in a file that nobody else sees.
+    """An array that grows row by row in a temporary file.
 
-    The file lies where temporary files lie (``TMPDIR``), has no name, and is gone with
-    the last array that shows it.
+    The file is in the system's temporary folder (``TMPDIR``), has no name, and is
+    deleted with the last array that maps it.
     """
 
     def __init__(self, dtype: DTypeLike) -> None:
         self._dtype = np.dtype(dtype)
-        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as self
         self._count, self._shape = 0, (0,)
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Put rows after others of their shape; an InputError if the disk is full."""
+        """Append rows of one shape, or raise an InputError if the disk is full."""
         self._shape = rows.shape[1:]
         self._count += len(rows)
         try:
@@ -35,12 +35,12 @@ class Spool:
             self._file.flush()
         except OSError as error:
             raise InputError(
-                f"{tempfile.gettempdir()}: cannot keep what was read so far "
-                f"({error.strerror or error}); make room or set TMPDIR to a larger disk"
+                f"{tempfile.gettempdir()}: cannot store temporary data "
+                f"({error.strerror or error}); free space or point TMPDIR elsewhere"
             ) from None
 
     def array(self) -> NDArray[Any]:
-        """Return all rows, to be read; what is looked at comes into memory."""
+        """Return all rows, read-only; rows are loaded into memory on access."""
         shape = (self._count, *self._shape)
         if 0 in shape:
             return np.empty(shape, dtype=self._dtype)

@@ -1,4 +1,4 @@
-"""What ``evaluate`` compares: methods and presets, with their parameters."""
+"""The systems that ``evaluate`` compares: methods and presets with parameters."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from .training import training_set
 
 @dataclass(frozen=True)
 class System:
-    """A way to clean: methods one after the other, or a preset."""
+    """A chain of methods, or a preset."""
 
     label: str
-    """As it was asked for: ``learned+local-pca``, ``liu-2016:clusters=50``."""
+    """As requested: ``learned+local-pca``, ``liu-2016:clusters=50``."""
     config: CleanConfig
-    """How it cleans."""
+    """Configuration of the cleaner."""
     methods: tuple[str, ...]
-    """Its methods, in their order."""
+    """Names of its methods, in order."""
 
     @property
     def learns(self) -> bool:
-        """Whether it has to be taught."""
+        """Whether it learns from pairs."""
         return any(method in LEARNED for method in self.methods)
 
 
@@ -45,87 +45,83 @@ def systems_of(
     *,
     physics: bool = True,
 ) -> list[System]:
-    """Return the systems that are asked for.
+    """Parse the systems named on the command line.
 
     Args:
-        methods: Names out of ``METHODS``, several joined by ``+`` to follow each other,
-            and after each name what is assigned: ``local-pca:neighbors=30:memory=0``.
-        presets: Names out of ``PRESETS``, likewise; ``all``: each of them.
-        assigned: NAME=VALUE, of every system with such a parameter.
-        physics: Pull the simulated character through what methods give, as ``clean``
-            does, and through what the presets give that have one.
+        methods: Names from ``METHODS``, joined by ``+`` to form a chain, followed by
+            assignments to parameters: ``local-pca:neighbors=30:memory=0``.
+        presets: Names from ``PRESETS`` with assignments; ``all`` stands for all names.
+        assigned: NAME=VALUE, for every system that has such a parameter.
+        physics: Simulate the character after methods, as ``clean`` does, and in the
+            presets that include it.
 
     Raises:
-        InputError: An unknown name, or a parameter that none of them has.
+        InputError: A name is unknown, or no system has an assigned parameter.
     """
     known: dict[str, Collection[str]] = {"method": METHODS, "preset": PRESETS}
-    asked = [("method", text) for text in methods]
+    requested = [("method", text) for text in methods]
     for text in presets:
-        every = PRESETS if text.partition(":")[0] == "all" else [text]
-        rest = text.removeprefix("all") if every is PRESETS else ""
-        asked += [("preset", name + rest) for name in every]
-    found, used = [], set[str]()
-    for what, text in asked:
-        name, *own = text.split(":")
-        names = name.split("+") if what == "method" else [name]
-        if unknown := [one for one in names if one not in known[what]]:
+        name, colon, own = text.partition(":")
+        names = list(PRESETS) if name == "all" else [name]
+        requested += [("preset", name + colon + own) for name in names]
+    systems, used = [], set[str]()
+    for kind, text in requested:
+        name, *settings = text.split(":")
+        names = name.split("+") if kind == "method" else [name]
+        if unknown := [one for one in names if one not in known[kind]]:
             raise InputError(
-                f"unknown {what} {unknown[0]!r}; known: {', '.join(known[what])}"
+                f"unknown {kind} {unknown[0]!r}; known: {', '.join(known[kind])}"
             )
-        fitting = [one for one in assigned if _config(what, names[0], one) is not None]
+        fitting = [one for one in assigned if _has_parameter(kind, names[0], one)]
         used |= {*fitting}
-        given = [*fitting, *own]
-        if what == "preset":
-            still = [] if physics else ["physics=false"]
-            config = CleanConfig(preset=name, set=(*given, *still))
+        settings = [*fitting, *settings]
+        if kind == "preset":
+            settings += [] if physics else ["physics=false"]
+            config = CleanConfig(preset=name, set=tuple(settings))
             names = [PRESETS[name].method]
         else:
-            config = CleanConfig(names[0], set=tuple(given), physics=physics)
-        found.append(System(text, config, tuple(names)))
-    if lost := [one for one in assigned if one not in used]:
+            config = CleanConfig(names[0], set=tuple(settings), physics=physics)
+        systems.append(System(text, config, tuple(names)))
+    if unused := [one for one in assigned if one not in used]:
         raise InputError(
-            f"--set {lost[0]}: none of {', '.join(s.label for s in found)} has such a "
-            "parameter; 'kinefilter clean --preset NAME --set help' lists those of one"
+            f"--set {unused[0]}: none of {', '.join(s.label for s in systems)} has "
+            "such a parameter; 'kinefilter clean --preset NAME --set help' lists the "
+            "parameters of a preset"
         )
-    return found
+    return systems
 
 
-def _config(what: str, name: str, assignment: str) -> CleanConfig | None:
-    """Return the config of a method or preset with a parameter, None without it."""
-    named: dict[str, Any] = {what: name}
+def _has_parameter(kind: str, name: str, assignment: str) -> bool:
+    named: dict[str, Any] = {kind: name}
     try:
-        return CleanConfig(**named, set=(assignment,))
+        CleanConfig(**named, set=(assignment,))
     except InputError:
-        return None
+        return False
+    return True
 
 
 def check_untaught(methods: Sequence[str]) -> None:
-    """Raise an InputError for a method that is not known, or learns from pairs."""
+    """Raise an InputError for a method that is unknown, or learns from pairs."""
     for name in methods:
         if name not in METHODS or name in LEARNED:
             known = ", ".join(m for m in METHODS if m not in LEARNED)
             raise InputError(
-                f"method {name!r} cannot be measured so, only those that do not learn "
-                f"from pairs: {known}"
+                f"method {name!r}: expected one that does not learn from pairs: {known}"
             )
 
 
 def as_step(every: int) -> int:
-    """Return a step through clips; an InputError unless it is 1 or more."""
+    """Return a step through clips, or raise an InputError unless it is 1 or more."""
     if every < 1:
         raise InputError(f"--every {every}: expected 1 or more")
     return every
 
 
 class School:
-    """Makes the correctors of systems, those that learn from the same clips.
+    """Makes the correctors of systems, and trains those that learn on the same clips.
 
-    Args:
-        train: Clips to learn from.
-        skeleton: That of the takes.
-        people: Learn also what is each person's own, as they will be met again.
-        database: Natural postures, but for ``default``.
-        progress: Wraps the loops, for a progress bar.
+    With ``people`` they also learn each person's own offsets, for tests on the same
+    people. All methods except ``default`` take their postures from ``database``.
     """
 
     def __init__(
@@ -144,40 +140,38 @@ class School:
         self._learned: dict[str, LearnedCorrector] = {}
 
     def corrector(self, system: System) -> Corrector:
-        """Return what corrects in a system, taught where it learns."""
-        made = [self._made(system.config, name) for name in system.methods]
+        """Return the corrector of a system, trained if it learns."""
+        made = [self._make(system.config, name) for name in system.methods]
         return made[0] if len(made) == 1 else InTurn(*made, skeleton=self._skeleton)
 
-    def _made(self, config: CleanConfig, name: str) -> Corrector:
-        first = config.method == name
-        settings = config.parameters.method if first else {}
-        method = METHODS[name]
+    def _make(self, config: CleanConfig, name: str) -> Corrector:
+        settings = config.parameters.method if config.method == name else {}
         if name in LEARNED:
-            return self._taught(config, name, settings)
-        if method.made_of == "skeleton":
-            made: Corrector = method.load()(self._skeleton, **settings)
-        elif name == "default":  # exactly what clean does
-            made = make_corrector(self._skeleton, CleanConfig())
-        else:
-            made = method.load()(self._database, **settings)
-        return made
+            return self._trained(config, name, settings)
+        if name == "default":  # exactly as in clean
+            return make_corrector(self._skeleton, CleanConfig())
+        method = METHODS[name]
+        of_skeleton = method.made_of == "skeleton"
+        basis = self._skeleton if of_skeleton else self._database
+        corrector: Corrector = method.load()(basis, **settings)
+        return corrector
 
-    def _taught(
+    def _trained(
         self, config: CleanConfig, name: str, settings: dict[str, Any]
     ) -> LearnedCorrector:
-        """Return a method taught, once for settings that learn the same."""
-        seen = (config.scoring, config.preset is None, config.parameters.scorer)
-        key = str(seen)
-        if key not in self._lessons:
+        """Return a trained method; settings that do not affect training share one."""
+        scoring = (config.scoring, config.preset is None, config.parameters.scorer)
+        lessons_key = str(scoring)
+        if lessons_key not in self._lessons:
             clips = over(self._train, "standardize", self._progress)
-            self._lessons[key] = training_set(clips, config)
+            self._lessons[lessons_key] = training_set(clips, config)
         free = LEARNED[name].load().adjustable
         fixed = {k: value for k, value in settings.items() if k not in free}
-        key = str((key, name, sorted(fixed.items())))
+        key = str((lessons_key, name, sorted(fixed.items())))
         if key not in self._learned:
             self._learned[key] = teach(
                 name,
-                self._lessons[str(seen)],
+                self._lessons[lessons_key],
                 people=self._people,
                 settings=fixed,
                 progress=self._progress,

@@ -1,4 +1,4 @@
-"""Teaching the methods that learn."""
+"""Training of the methods that learn from pairs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .methods.lessons import Learner, TrainingSet
 from .simulate import simulated_pairs
 from .training import training_set
 
-_SIMULATED = 102  # people beside the recorded ones: every motion twice
+_SIMULATED = 102  # people besides the recorded ones: two per motion
 
 
 def teach(
@@ -28,17 +28,12 @@ def teach(
     settings: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> LearnedCorrector:
-    """Return a method that learned from pairs.
+    """Return a method trained on pairs.
 
-    ``learned`` learns from simulated people as well, the same ones every time.
-
-    Args:
-        method: Its name.
-        lessons: The pairs.
-        views: People whom two sensors saw, as ``view_pairs`` gives them.
-        people: Learn what each person has alone, too.
-        settings: Keywords of the method's constructor.
-        progress: Wraps its loops, for a progress bar.
+    ``learned`` is also trained on simulated people, always the same ones, and on
+    ``views``, the sessions of two sensors (see ``view_pairs``); with ``people`` it
+    learns each person's own offsets too. ``settings`` are keywords of the constructors
+    of the other methods.
 
     Raises:
         InputError: The pairs are too few.

@@ -1,11 +1,11 @@
-"""Teaches the forest that finds body parts in depth images, from images of mocap.
+"""Trains the forest that finds body parts in depth images, on simulated images.
 
-``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` writes
-``scenes/sensor/embedded/body_parts.npz`` again and prints how good it is; FOLDER holds
-CMU's mocap (BVH). ``--help`` lists the sizes: with more people, images and leaves it
-takes longer and gets better. Half of the images show mocap, half scripted motions, all
-of them simulated people. What is printed is of people and of CMU's subjects that
-taught nothing.
+``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` rewrites
+``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy; FOLDER holds CMU's
+mocap (BVH). ``--help`` lists the sizes: more people, images and leaves take longer and
+give better results. Half of the images show mocap and half scripted motions, all of
+them performed by simulated people. The accuracy is measured on people and on CMU
+subjects that are not in the training data.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import tyro
@@ -50,38 +51,37 @@ from kinefilter.scenes.sensor.ray_casting import PosedBody
 from .database_build import mocap_postures
 
 _HELD_OUT = ("02", "08", "12", "29")
-"""Subjects of CMU who teach nothing."""
+"""CMU's subjects that are left out of the training data."""
 _PEOPLE, _CHECKING, _TESTING = 5_000_000, 5_100_000, 5_200_000
-"""Seeds of people who teach the trees, the constants of joints, and nothing."""
-_CHECKED = 24  # people for the constants, and again as many to test on
-_FARTHEST, _NEAREST = 0.7, 0.015  # m: how far features look around
-_RIGHT = 0.1  # m: a joint is found that is nearer to the truth (Shotton et al.)
+"""First seeds of the people for the trees, for the joints' constants, and for tests."""
+_CHECKED = 24  # people for the constants, and as many to test on
+_FARTHEST, _NEAREST = 0.7, 0.015  # m: range of feature offsets
+_RIGHT = 0.1  # m: a joint this close to the truth counts as found (Shotton et al.)
 _FULL = 255.0
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is learned from, and how much is kept of it."""
+    """Size of the training data and of the forest."""
 
     people: int = 300
-    """Simulated people."""
+    """Number of simulated people."""
     images: int = 24
-    """Images of each of them."""
+    """Number of images of each person."""
     pixels: int = 120
-    """Pixels of each image."""
+    """Number of pixels of each image."""
     features: int = 300
-    """Differences of depth to choose from."""
+    """Number of depth differences to choose from."""
     trees: int = 3
-    """Trees; the paper has three."""
+    """Number of trees; the paper has three."""
     leaves: int = 15000
-    """Leaves of a tree, at most."""
+    """Maximum number of leaves per tree."""
     depth: int = 20
-    """Levels of a tree, at most; the paper has 20."""
+    """Maximum depth of a tree; the paper has 20."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """An image of somebody, and where the joints were [m], in the sensor's frame."""
+class Shot(NamedTuple):
+    """An image of a person, and the true joint positions [m], in the sensor frame."""
 
     image: DepthImage
     joints: Array
@@ -90,21 +90,19 @@ class Shot:
     def labels(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.intp]:
-        """Return the body part of pixels, (N,)."""
-        points, segments = (
-            self.image.points(rows, columns),
-            self.image.segments[rows, columns],
-        )
+        """Return the true body part of pixels, (N,)."""
+        points = self.image.points(rows, columns)
+        segments = self.image.segments[rows, columns]
         joints = nearest_joints(points, segments, self.joints, self.body)
         parts = np.argmax(parts_of_joints(self.body.skeleton), axis=0)
         return np.where(joints < 0, len(BODY_PARTS) - 1, parts[joints])
 
 
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
-    """Return segment rotations of postures that differ, without yaw, (N, J, 4).
+    """Return segment rotations of diverse postures, without yaw, (N, J, 4).
 
     Raises:
-        InputError: There is no BVH file of these subjects.
+        InputError: The folder has no BVH file of these subjects.
     """
     files = [
         file
@@ -113,24 +111,22 @@ def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Arra
     ]
     if not files:
         raise InputError(f"{folder}: no BVH of CMU's subjects; give their folder")
-    found = [mocap_postures(read_mocap(file), skeleton) for file in files]
-    positions, rotations = (np.concatenate(part) for part in zip(*found, strict=True))
+    postures = [mocap_postures(read_mocap(file), skeleton) for file in files]
+    positions, rotations = (np.concatenate(p) for p in zip(*postures, strict=True))
     return rotations[filter_to_count(positions, 2000)]
 
 
 def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
-    """Yield images of somebody: half of mocap, half of scripted motions.
+    """Yield ``count`` images of a person, half of mocap and half of scripted motions.
 
-    Args:
-        seed: Draws the person, the motions, the places of sensors and their noise.
-        count: How many.
-        mocap: Segment rotations to draw from, by the name of the skeleton.
+    The seed determines the person, the motions, and the placement and noise of sensors.
+    Postures are drawn from ``mocap``, segment rotations by the name of the skeleton.
     """
     rng = np.random.default_rng(seed)
     skeleton = SKELETONS[sorted(SKELETONS)[seed % len(SKELETONS)]]
     body = random_body(skeleton, rng)
-    drawn = rng.integers(len(mocap[skeleton.name]), size=count - count // 2)
-    turns = [mocap[skeleton.name][drawn]]
+    rows = rng.integers(len(mocap[skeleton.name]), size=count - count // 2)
+    turns = [mocap[skeleton.name][rows]]
     for name in rng.choice(MOTIONS, 3):
         act = perform(str(name), body, seed=seed)
         turns.append(act.rotations[rng.integers(len(act), size=-(-count // 6))])
@@ -156,10 +152,10 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
 
 
 def features(count: int) -> Singles:
-    """Return offsets u and v of features [m across the view], (F, 2, 2).
+    """Return the offset pairs u and v of features [m across the view], (F, 2, 2).
 
-    Half of them compare a place nearby with the pixel itself, as in the paper. Their
-    lengths are even on a logarithmic scale.
+    As in the paper, half of them compare a nearby point with the pixel itself. The
+    lengths are evenly distributed on a logarithmic scale.
     """
     rng = np.random.default_rng(0)
     angle = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
@@ -169,15 +165,16 @@ def features(count: int) -> Singles:
     return np.asarray(offsets, dtype=np.float32)
 
 
-def lessons(
+def training_pixels(
     seed: int, sizes: Sizes, mocap: dict[str, Array]
 ) -> tuple[Singles, NDArray[np.int8]]:
     """Return features and body parts of pixels of one person.
 
-    Body parts that few pixels show are drawn more often: by the root of their number.
+    A pixel is drawn with a probability inversely proportional to the square root of its
+    body part's area, so that small parts are drawn more often.
     """
     rng, offsets = np.random.default_rng([seed, 1]), features(sizes.features)
-    told, shown = [], []
+    values, parts = [], []
     for shot in shots_of(seed, sizes.images, mocap):
         rows, columns = np.nonzero(shot.image.segments >= 0)
         if len(rows) < sizes.pixels:
@@ -190,13 +187,13 @@ def lessons(
             depth_differences(shot.image, *at, np.broadcast_to(o, (len(some), 2, 2)))
             for o in offsets
         ]
-        told.append(np.stack(differences, axis=1))
-        shown.append(labels[some].astype(np.int8))
-    return np.concatenate(told), np.concatenate(shown)
+        values.append(np.stack(differences, axis=1))
+        parts.append(labels[some].astype(np.int8))
+    return np.concatenate(values), np.concatenate(parts)
 
 
-def fit_forest(told: Singles, shown: NDArray[np.int8], sizes: Sizes) -> BodyPartForest:
-    """Return a forest that tells body parts; joints have no constants yet."""
+def fitted(values: Singles, parts: NDArray[np.int8], sizes: Sizes) -> BodyPartForest:
+    """Return a forest that classifies pixels; joints have no constants yet."""
     from sklearn.ensemble import RandomForestClassifier
 
     forest = RandomForestClassifier(
@@ -209,7 +206,7 @@ def fit_forest(told: Singles, shown: NDArray[np.int8], sizes: Sizes) -> BodyPart
         n_jobs=2,
         random_state=0,
     )
-    forest.fit(told, shown)
+    forest.fit(values, parts)
     return converted(forest.estimators_, forest.classes_, features(sizes.features))
 
 
@@ -224,7 +221,7 @@ def converted(
         row = np.cumsum(leaf) - 1 + kept
         roots.append(nodes)
         feature.append(np.where(leaf, -1, tree.feature))
-        # The greatest single number that is no greater: the same pixels go left.
+        # Rounding down to single precision sends the same pixels to the left.
         limit = tree.threshold.astype(np.float32)
         beyond = np.nextafter(limit, np.float32(-np.inf))
         threshold.append(np.where(limit > tree.threshold, beyond, limit))
@@ -247,126 +244,117 @@ def converted(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What a forest found in images of one person."""
+class Results(NamedTuple):
+    """A forest's results on the images of one person."""
 
     skeleton: Skeleton
-    skin: Array
-    """As ``propose`` gives it [m], (N, J, 3)."""
-    area: Array
-    """Likewise [m^2], (N, J)."""
-    joints: Array
-    """Where they were [m], (N, J, 3)."""
-    hits: tuple[int, int]
-    """Pixels that were told right, and all."""
+    skin: Array  # positions from ``propose`` [m], (N, J, 3)
+    area: Array  # areas from ``propose`` [m^2], (N, J)
+    joints: Array  # true joint positions [m], (N, J, 3)
+    hits: tuple[int, int]  # number of correctly classified pixels, and of all pixels
 
 
-def found_in(
+def evaluate_forest(
     seed: int, count: int, mocap: dict[str, Array], forest: BodyPartForest
-) -> Found:
-    """Return what a forest finds in images of somebody."""
+) -> Results:
+    """Return a forest's results on ``count`` images of a person."""
     skin, area, joints, right, whole = [], [], [], 0, 0
     for shot in shots_of(seed, count, mocap):
-        skeleton = shot.body.skeleton
-        proposals = propose(shot.image, forest, skeleton)
+        proposals = propose(shot.image, forest, shot.body.skeleton)
         skin.append(proposals.skin)
         area.append(proposals.area)
         joints.append(shot.joints)
         rows, columns = (at[::7] for at in np.nonzero(shot.image.segments >= 0))
-        told = forest.shares(shot.image, rows, columns).argmax(axis=1)
-        right += int((told == shot.labels(rows, columns)).sum())
+        parts = forest.shares(shot.image, rows, columns).argmax(axis=1)
+        right += int((parts == shot.labels(rows, columns)).sum())
         whole += len(rows)
-    hits = (right, whole)
-    return Found(skeleton, np.array(skin), np.array(area), np.array(joints), hits)
+    arrays = np.array(skin), np.array(area), np.array(joints)
+    return Results(shot.body.skeleton, *arrays, (right, whole))
 
 
-def with_constants(forest: BodyPartForest, checked: Sequence[Found]) -> BodyPartForest:
-    """Return a forest that knows how deep joints lie, and when they are found.
+def _by_skeleton(
+    results: Sequence[Results],
+) -> Iterator[tuple[int, Skeleton, Array, Array, Array]]:
+    """Yield row, skeleton, skin, area and joints of each skeleton with results."""
+    for row, skeleton in enumerate(SKELETONS.values()):
+        own = [one for one in results if one.skeleton == skeleton]
+        if own:
+            skin, area, joints = (
+                np.concatenate([getattr(one, name) for one in own])
+                for name in ("skin", "area", "joints")
+            )
+            yield row, skeleton, skin, area, joints
 
-    The depth is the median where much skin is seen. The least area is the one that
-    errs least often about which joints are within 10 cm.
+
+def with_constants(
+    forest: BodyPartForest, checked: Sequence[Results]
+) -> BodyPartForest:
+    """Return the forest with each joint's depth behind the skin and minimum area.
+
+    The depth is the median over images that show much skin. The minimum area is the one
+    that decides most reliably whether the joint is within 10 cm.
     """
     push, least = forest.push.copy(), forest.least.copy()
-    for row, skeleton in enumerate(SKELETONS.values()):
-        own = [found for found in checked if found.skeleton == skeleton]
-        if not own:
-            continue
-        skin, area, joints = (
-            np.concatenate([getattr(found, name) for found in own])
-            for name in ("skin", "area", "joints")
-        )
+    for row, skeleton, skin, area, joints in _by_skeleton(checked):
         line = skin / np.linalg.norm(skin, axis=-1, keepdims=True)
-        behind_it = np.vecdot(joints - skin, line)
+        depth = np.vecdot(joints - skin, line)
         for j, part in enumerate(np.argmax(parts_of_joints(skeleton), axis=0)):
             much = area[:, j] > np.nanmedian(area[:, j])
-            push[row, part] = np.nanmedian(behind_it[much, j])
+            push[row, part] = np.nanmedian(depth[much, j])
             placed = behind(skin[:, j], push[row, part])
             away = np.linalg.norm(placed - joints[:, j], axis=-1)
             right = np.nan_to_num(away, nan=np.inf) < _RIGHT
             order = np.argsort(area[:, j])
-            # Below the k-th area: right ones that are lost, wrong ones that are not.
-            lost = np.cumsum(np.where(right[order], 1, -1))
-            k = int(np.argmin(np.append(0, lost)))
+            # Cost of a minimum at the k-th area: good joints lost minus bad ones lost.
+            cost = np.cumsum(np.where(right[order], 1, -1))
+            k = int(np.argmin(np.append(0, cost)))
             least[row, part] = np.append(area[order, j], np.inf)[k]
     return replace(forest, push=push, least=least)
 
 
-def report(forest: BodyPartForest, tested: Sequence[Found]) -> Iterator[str]:
-    """Yield what a forest is worth on images that taught it nothing."""
-    right, whole = np.sum([found.hits for found in tested], axis=0)
-    yield f"pixels told right: {right / whole:.0%} of {whole}"
-    for skeleton in SKELETONS.values():
-        own = [found for found in tested if found.skeleton == skeleton]
-        if not own:
-            continue
+def report(forest: BodyPartForest, tested: Sequence[Results]) -> Iterator[str]:
+    """Yield the accuracy of a forest, measured on held-out images."""
+    right, whole = np.sum([result.hits for result in tested], axis=0)
+    yield f"pixels classified correctly: {right / whole:.0%} of {whole}"
+    for _, skeleton, skin, area, joints in _by_skeleton(tested):
         push, least = constants_of(forest, skeleton)
-        skin, area, joints = (
-            np.concatenate([getattr(found, name) for found in own])
-            for name in ("skin", "area", "joints")
-        )
         away = 100.0 * np.linalg.norm(behind(skin, push) - joints, axis=-1)
         tracked = area >= least
         yield f"{skeleton.name}: joint, tracked %, median cm, within 10 cm %"
         for j, name in enumerate(skeleton.joints):
-            sure, share = away[tracked[:, j], j], 100.0 * tracked[:, j].mean()
-            if sure.size:
-                good = 100.0 * np.mean(sure < 100.0 * _RIGHT)
-                yield f"  {name:14} {share:4.0f} {np.median(sure):5.1f} {good:4.0f}"
+            errors, share = away[tracked[:, j], j], 100.0 * tracked[:, j].mean()
+            if errors.size:
+                good = 100.0 * np.mean(errors < 100.0 * _RIGHT)
+                yield f"  {name:14} {share:4.0f} {np.median(errors):5.1f} {good:4.0f}"
 
 
 def teach_depth(
     folder: Path, out: Path, sizes: Sizes, *, checked: int = _CHECKED
 ) -> Iterator[str]:
-    """Teach a forest, write it (.npz), and yield what it is worth.
+    """Train a forest on CMU's mocap (BVH), write it (.npz), and yield its accuracy.
 
-    Args:
-        folder: CMU's mocap, BVH.
-        out: The file to write.
-        sizes: How much is learned from.
-        checked: People for the constants of joints, and as many again to test on.
+    ``checked`` people determine the constants of joints, and as many are tested on.
 
     Raises:
-        InputError: There is no mocap of those who teach, or of those to test on.
+        InputError: The mocap for training or for testing is missing.
     """
     mocap, other = (
         {s.name: mocap_rotations(folder, s, held_out=held) for s in SKELETONS.values()}
         for held in (False, True)
     )
     with workers() as pool:
-        teach = partial(lessons, sizes=sizes, mocap=mocap)
-        found = [*pool.map(teach, range(_PEOPLE, _PEOPLE + sizes.people))]
-        told, shown = (np.concatenate(part) for part in zip(*found, strict=True))
-        yield f"learns from {len(told)} pixels"
-        forest = fit_forest(told, shown, sizes)
-        check = partial(found_in, count=sizes.images, mocap=mocap, forest=forest)
-        again = [*pool.map(check, range(_CHECKING, _CHECKING + checked))]
-        forest = with_constants(forest, again)
+        draw = partial(training_pixels, sizes=sizes, mocap=mocap)
+        pixels = [*pool.map(draw, range(_PEOPLE, _PEOPLE + sizes.people))]
+        values, parts = (np.concatenate(part) for part in zip(*pixels, strict=True))
+        yield f"training on {len(values)} pixels"
+        forest = fitted(values, parts, sizes)
+        check = partial(evaluate_forest, count=sizes.images, mocap=mocap, forest=forest)
+        results = [*pool.map(check, range(_CHECKING, _CHECKING + checked))]
+        forest = with_constants(forest, results)
         forest.save(out)
-        test = partial(found_in, count=sizes.images, mocap=other, forest=forest)
-        yield from report(
-            forest, [*pool.map(test, range(_TESTING, _TESTING + checked))]
-        )
+        test = partial(evaluate_forest, count=sizes.images, mocap=other, forest=forest)
+        results = [*pool.map(test, range(_TESTING, _TESTING + checked))]
+        yield from report(forest, results)
 
 
 def main(
@@ -374,7 +362,7 @@ def main(
     out: tyro.conf.Positional[Path],
     sizes: tyro.conf.OmitArgPrefixes[Sizes] = Sizes(),
 ) -> None:
-    """Teach the forest of body parts by CMU's mocap, and write it (.npz)."""
+    """Train the forest of body parts on CMU's mocap, and write it (.npz)."""
     for line in teach_depth(folder, out, sizes):
         print(line, flush=True)
 

@@ -1,4 +1,4 @@
-"""Pairs of Kinect and mocap, brought to the standard body to learn from."""
+"""Training sets: pairs of Kinect and mocap, transferred to the standard body."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .spool import Spool
 def training_set(
     pairs: Iterable[PairedTake], config: CleanConfig | None = None
 ) -> TrainingSet:
-    """Bring pairs to the standard body, as a corrector will see them.
+    """Transfer pairs to the standard body, as a corrector will receive them.
 
-    The frames are put aside on a disk, so that there may be more than memory holds.
-    The config says how they are scored; by default as ``clean`` does.
+    The frames are stored on disk, so they may be larger than memory. They are scored as
+    in ``config``, by default as ``clean`` does.
 
     Raises:
-        InputError: No pairs, or pairs of different skeletons.
+        InputError: There are no pairs, or their skeletons differ.
     """
     skeleton: Skeleton | None = None
     parts = [Spool(np.float64) for _ in range(6)]
@@ -38,17 +38,26 @@ def training_set(
         skeleton = skeleton or pair.take.skeleton
         if pair.take.skeleton != skeleton:
             raise InputError(
-                f"{pair.take.source}: {pair.take.skeleton.name}, but the first pairs "
-                f"are {skeleton.name}; train one model a skeleton"
+                f"{pair.take.source}: the skeleton is {pair.take.skeleton.name}, but "
+                f"that of the first pairs is {skeleton.name}; train one model per "
+                "skeleton"
             )
-        for part, rows in zip(parts, _standardized(pair, config), strict=True):
-            part.add(rows)
+        draft = observed(pair, config)
+        rows = (
+            draft.standard,
+            draft.reliability,
+            standard_truth(pair, draft),
+            np.tile(draft.body.lengths, (len(pair.take), 1)),
+            draft.time,
+            draft.heading.origin,
+        )
+        for part, array in zip(parts, rows, strict=True):
+            part.add(array)
         counts.append(len(pair.take))
         people.append(subjects.setdefault(pair.subject, len(subjects)))
     if skeleton is None:
         raise InputError("no clips to learn from; give pairs files with clips in them")
-    first = np.zeros(sum(counts), dtype=bool)
-    first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
+    first = np.concatenate([np.arange(count) == 0 for count in counts])
     names = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
     positions, reliability, truth, lengths, time, sensor = (p.array() for p in parts)
     return TrainingSet(
@@ -67,9 +76,9 @@ def training_set(
 
 
 def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
-    """Return what correction sees of a take, scored and on the standard body.
+    """Return a take as correction receives it: scored, on the standard body.
 
-    Failures stay in: what is to be learned or compared is what the sensor gave.
+    Tracking failures are not removed: training and comparisons need the sensor's data.
     """
     cleaner = Cleaner(config)
     if config is None or config.preset is None:  # a preset has no such stage
@@ -78,10 +87,10 @@ def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
 
 
 def standard_truth(pair: PairedTake, draft: Draft) -> Array:
-    """Return the mocap of a pair beside its draft's standard postures [m], (T, J, 3).
+    """Return the mocap of a pair on the standard body, as in its draft [m], (T, J, 3).
 
-    NaN where mocap has none; moved so that the hips' middle, which errors are relative
-    to, is where the measurement has it.
+    NaN where missing. The mocap is shifted so that the middle of the hips, to which
+    errors are relative, coincides with the measured one.
     """
     hips, measured = draft.skeleton.hips, draft.measured
     shift = measured[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
@@ -89,18 +98,3 @@ def standard_truth(pair: PairedTake, draft: Draft) -> Array:
     filled = np.where(np.isnan(truth), measured, truth)
     standard = Standardizer(draft.body).standardize(filled, draft.heading)
     return np.where(np.isnan(truth), np.nan, standard)
-
-
-def _standardized(pair: PairedTake, config: CleanConfig | None) -> tuple[Array, ...]:
-    """Return the arrays of a training set for a take, in their order."""
-    draft = observed(pair, config)
-    lengths = np.tile(draft.body.lengths, (len(pair.take), 1))
-    truth = standard_truth(pair, draft)
-    return (
-        draft.standard,
-        draft.reliability,
-        truth,
-        lengths,
-        draft.time,
-        draft.heading.origin,
-    )

@@ -1,8 +1,8 @@
-"""Learns how uncertain joints are, from people whom the corrector did not learn from.
+"""Trains the uncertainty of joints, on people that are new to the corrector.
 
-``python -m kinefilter.pipeline.lab.uncertainty_lessons OUT.toml PAIRS...`` writes the
-weights of ``uncertainty`` again, and prints for each person how many coordinates lie
-within the uncertainty and within 1.96 times as much, by weights that leave them out.
+``python -m kinefilter.pipeline.lab.uncertainty_lessons OUT.toml PAIRS...`` rewrites the
+weights of ``uncertainty``. For each person it prints the share of coordinates within
+the uncertainty and within 1.96 times the uncertainty, by weights trained without them.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ from .training import training_set
 
 Weights = dict[str, dict[str, list[float]]]
 
-_EVERY = 3  # clips
+_EVERY = 3  # use every third clip
 _HIDDEN = ("left-arm", "right-arm", "arms", "left-leg", "right-leg", "shins", "hands")
 _GAPS = (0.3, 1.0, 2.0)  # s
 _SEEN_BEFORE = 5  # frames before a gap
-_FREEDOM = 4.0  # degrees of freedom of Student's t, which errors are taken for
-_WITHIN = 1.25  # of its scale: 72 % of the errors, and 93 % within 1.96 times as much
+_FREEDOM = 4.0  # degrees of freedom of Student's t, the distribution of errors
+_WITHIN = 1.25  # scales: covers 72 % of the errors, and 1.96 times as much covers 93 %
 _SHRINKAGE = 0.003
 
 
 class Rows(NamedTuple):
-    """Judged joints in frames of a person, as ``describe`` gives them."""
+    """Features from ``describe`` and errors of a person's judged joints."""
 
     person: str
     seen: Array
@@ -71,23 +71,19 @@ def lessons(
     every: int = _EVERY,
     prior: MotionPrior | None = None,
 ) -> Rows:
-    """Clean clips of a person, each once as it is and once with a limb hidden.
+    """Return the training data of a person from every Nth of their clips.
 
-    Args:
-        corrector: Has not learned from the person.
-        pairs: The person's clips.
-        every: Clean every Nth clip.
-        prior: Nor has this; by default it is the one that ships.
+    Each clip is cleaned as it is and with a limb hidden. Neither the corrector nor the
+    prior, by default the shipped one, was trained on the person.
     """
-    cleaner, found = Cleaner(corrector=corrector), []
+    cleaner, parts = Cleaner(corrector=corrector), []
     if prior is not None:
         cleaner = knowing(cleaner, CleanConfig(), prior)
     alone = list(join_cases(pairs, "alone"))[::every]
     repeated = [case for case in join_cases(pairs, "repetitions") if case.hidden]
     for case in (*alone, *repeated[::2]):
-        skeleton = case.take.skeleton
-        mocap = np.full(case.take.positions.shape, np.nan)
-        blind = case.take
+        blind, skeleton = case.take, case.take.skeleton
+        mocap = np.full(blind.positions.shape, np.nan)
         for pair, start in case.hidden:
             mocap[start : start + len(pair.take)] = pair.truth
             blind = _without_a_limb(blind, start, len(pair.take), pair.clip)
@@ -95,15 +91,16 @@ def lessons(
             draft = cleaner.whole(take, silent)
             away = draft.positions - leveled(mocap, draft.tilt)
             away -= away[:, skeleton.hips].mean(axis=1, keepdims=True)
-            found.append((*describe(draft), away[:, judged(skeleton)]))
-    columns = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append((*describe(draft), away[:, judged(skeleton)]))
+    columns = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Rows(pairs[0].subject, *columns)
 
 
 def _without_a_limb(take: Take, first: int, count: int, clip: str) -> Take:
     """Return a take in which a limb is hidden for some of a clip's frames.
 
-    Which limb, for how long, in the middle or up to the end: by the clip's name.
+    The clip's name determines the limb, the duration, and whether the gap is in the
+    middle or at the end.
     """
     number, limb = divmod(zlib.crc32(clip.encode()), len(_HIDDEN))
     number, gap = divmod(number, len(_GAPS))
@@ -118,11 +115,11 @@ def _without_a_limb(take: Take, first: int, count: int, clip: str) -> Take:
 
 
 def fit(rows: Sequence[Rows]) -> Weights:
-    """Return bias and weights of each part's uncertainty [ln m], seen and hidden."""
+    """Return bias and weights of each part's log uncertainty [m], seen and hidden."""
     weights: Weights = {"seen": {}, "hidden": {}}
     for table, missing in (("seen", False), ("hidden", True)):
         for k, part in enumerate(PARTS):
-            # Whole shoulders and hips are not hidden: they are as what hangs on them.
+            # Shoulders and hips are never hidden; they take the next joint's weights.
             at = k + 1 if missing and part in ("Shoulder", "Hip") else k
             both, columns = slice(2 * at, 2 * at + 2), []
             for row in rows:
@@ -136,7 +133,7 @@ def fit(rows: Sequence[Rows]) -> Weights:
 
 
 def _scale_of(features: Array, away: Array, shares: Array) -> list[float]:
-    """Return bias and weights for which errors are the likeliest Student's t."""
+    """Return the maximum-likelihood bias and weights of the scale of Student's t."""
     mean = np.average(features, axis=0, weights=shares)
     spread = np.sqrt(np.average((features - mean) ** 2, axis=0, weights=shares))
     spread = np.maximum(spread, 1e-6)
@@ -155,14 +152,14 @@ def _scale_of(features: Array, away: Array, shares: Array) -> list[float]:
 
     start = np.zeros(rows.shape[1])
     start[0] = 0.5 * np.log(shares @ squares.mean(axis=1))
-    found = minimize(loss, start, jac=True, method="L-BFGS-B").x
-    scales = found[1:] / spread
-    bias = found[0] - scales @ mean + np.log(_WITHIN)
+    best = minimize(loss, start, jac=True, method="L-BFGS-B").x
+    scales = best[1:] / spread
+    bias = best[0] - scales @ mean + np.log(_WITHIN)
     return [round(float(number), 4) for number in (bias, *scales)]
 
 
 def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None]:
-    """Return what ``within_uncertainty`` does, of seen and of hidden joints."""
+    """Return ``within_uncertainty`` for seen and for hidden joints."""
     limits = np.exp(log_uncertainty(weights, rows.seen, rows.gone, rows.hidden))
     shares = np.abs(rows.away) / limits[..., None]
     return {
@@ -172,7 +169,7 @@ def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None
 
 
 def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
-    """Return the lessons of a person, by a corrector that learned from the others."""
+    """Return the training data of a person, by a corrector trained on the others."""
     others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
     learned = teach("learned", training_set(others))
@@ -180,7 +177,7 @@ def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
 
 
 def main(out: Path, files: Sequence[str]) -> None:
-    """Learn from pairs files, and write the weights."""
+    """Train on pairs files, and write the weights."""
     pairs = [pair for file in files for pair in read_pairs(file)]
     people = sorted({pair.subject for pair in pairs})
     with workers() as pool:

@@ -1,15 +1,16 @@
-// Shows one trial after another, keeps the grades, and saves them in the end.
+// Shows one trial after another, stores the grades, and saves them to a file at the end.
 
 const kit = JSON.parse(at("data").textContent, unpacked);
 const LOOK = { Left: "#2a63b0", Right: "#d9731a", "": "#465066" };
 const sides = kit.joints.map((name) => (name.match(/Left$|Right$/) || [""])[0]);
-const [NOT, WELL] = [`1, not ${kit.word} at all`, `${kit.highest}, very ${kit.word}`];
-const PAUSE = 0.5; // s at the end, before a motion begins anew
+const LOWEST_LABEL = `1, not ${kit.word} at all`;
+const HIGHEST_LABEL = `${kit.highest}, very ${kit.word}`;
+const PAUSE = 0.5; // s at the end, before a motion repeats
 
 let rater = "", order = [], answers = [], trial = 0, framed = 0, panes = [];
 let view = null, motion = null, playing = false, seconds = 0, stamp = null;
 
-// Half of the raters see the sides exchanged, half of each the other way round in time.
+// Half of the raters see swapped sides; half of each group see the trials in reverse order.
 function orderFor(name) {
   let hash = 7;
   for (const c of name) hash = (Math.imul(hash, 31) + c.codePointAt(0)) >>> 0;
@@ -18,16 +19,16 @@ function orderFor(name) {
   return hash & 2 ? shown.reverse() : shown;
 }
 
-const place = () => `kinefilter ratings ${kit.page} ${rater}`;
-function keep() {
+const storageName = () => `kinefilter ratings ${kit.page} ${rater}`;
+function store() {
   try {
-    localStorage.setItem(place(), JSON.stringify({ answers, trial }));
-  } catch { /* a browser that keeps nothing */ }
+    localStorage.setItem(storageName(), JSON.stringify({ answers, trial }));
+  } catch { /* the browser has no storage */ }
 }
 
-function kept() {
+function stored() {
   try {
-    return JSON.parse(localStorage.getItem(place())) || {};
+    return JSON.parse(localStorage.getItem(storageName())) || {};
   } catch {
     return {};
   }
@@ -39,7 +40,7 @@ function start(event) {
   if (!rater) return;
   order = orderFor(rater);
   ({ answers = order.map((shown) => ({ shown, grades: shown.map(() => null) })),
-    trial = 0 } = kept());
+    trial = 0 } = stored());
   show(trial);
 }
 
@@ -47,11 +48,10 @@ const section = (id) => ["welcome", "trial", "end"].forEach((s) => (at(s).hidden
 
 function show(to) {
   trial = Math.max(0, to);
-  keep();
+  store();
   if (trial >= order.length) {
     playing = false;
-    section("end");
-    return;
+    return section("end");
   }
   section("trial");
   const clips = order[trial].map((k) => kit.clips[k]);
@@ -76,22 +76,22 @@ function addPane(clip, title, k = null) {
   box.append(element("h3", title), canvas);
   for (let grade = 1; k !== null && grade <= kit.highest; grade++) {
     const button = element("button", String(grade));
-    button.addEventListener("click", () => give(k, grade));
+    button.addEventListener("click", () => setGrade(k, grade));
     grades.append(button);
   }
   if (k !== null) {
-    ends.append(element("span", NOT), element("span", WELL));
+    ends.append(element("span", LOWEST_LABEL), element("span", HIGHEST_LABEL));
     box.append(grades, ends);
   }
   turnByMouse(canvas, view, draw);
   return { clip, box, canvas, k, buttons: [...grades.children] };
 }
 
-function give(k, grade) {
+function setGrade(k, grade) {
   answers[trial].grades[k] = grade;
   const open = answers[trial].grades.indexOf(null);
   framed = open < 0 ? k : open;
-  keep();
+  store();
   mark();
 }
 
@@ -119,10 +119,9 @@ function draw() {
     const frame = frameAt(clip.time, seconds);
     const figure = (seen, look) =>
       drawFigure(context, seen, clip.positions, kit.parents, frame, look);
-    const shade = "#d3d9e3";
+    const shade = () => "#d3d9e3";
     drawFloor(context, project, center);
-    figure((a, _, c) => project(a, 0, c),
-      { width: thick, radius: 0, bone: () => shade, joint: () => shade });
+    figure((a, _, c) => project(a, 0, c), { width: thick, radius: 0, bone: shade, joint: shade });
     const color = (k) => LOOK[sides[k % sides.length]];
     const points = figure(project, { width: thick, radius: thick / 3, bone: color, joint: color });
     const head = points[kit.joints.indexOf("Head")];
@@ -176,13 +175,13 @@ const KEYS = {
 document.addEventListener("keydown", (e) => {
   if (at("trial").hidden || e.ctrlKey || e.altKey || e.metaKey) return;
   if (e.target.tagName === "BUTTON" && "Enter ".includes(e.key)) return;
-  if (/^[1-9]$/.test(e.key)) give(framed, Number(e.key));
+  if (/^[1-9]$/.test(e.key)) setGrade(framed, Number(e.key));
   else if (e.key in KEYS) KEYS[e.key]();
   else return;
   e.preventDefault();
 });
 document.addEventListener("click", (e) => {
-  if (e.detail) e.target.blur(); // so that keys are those of the page again
+  if (e.detail) e.target.blur(); // so that the page receives key presses again
 });
 at("start").addEventListener("submit", start);
 at("play").addEventListener("click", () => play(!playing));
@@ -197,4 +196,4 @@ const pair = kit.trials[0].length > 1;
 at("task").textContent =
   `There are ${kit.trials.length} steps. Each shows ${pair ? "two figures" : "a figure"}` +
   ` that move${pair ? "" : "s"}${kit.motions[0].reference ? ", and what the person did" : ""}.` +
-  ` Grade ${pair ? "each" : "it"} from ${NOT}, to ${WELL}.`;
+  ` Grade ${pair ? "each" : "it"} from ${LOWEST_LABEL}, to ${HIGHEST_LABEL}.`;
