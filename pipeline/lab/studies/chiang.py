@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import compress
+from itertools import compress, product
 from time import perf_counter
 
 import numpy as np
@@ -24,32 +24,17 @@ from .traces import Trace, trace_study
 from .trial import Group, errors, mean_cm, recorded, simulated, trainer_of
 
 _CHIANG_2_3 = {
-    "deep_breathing": (
-        (10.22, 4.91, 1.46, 0.14, 1.79, 2.46),
-        (13.82, 6.49, 3.10, 0.21, 3.48, 2.91),
-    ),
-    "clasp_and_spread": (
-        (9.21, 8.18, 1.76, 0.13, 1.95, 3.21),
-        (13.12, 11.89, 6.23, 0.17, 4.26, 7.58),
-    ),
-    "overhead_pumping": (
-        (8.94, 7.36, 3.38, 0.21, 4.34, 5.58),
-        (13.57, 11.54, 7.45, 0.24, 7.10, 7.98),
-    ),
-    "push_down_pumping": (
-        (8.38, 6.27, 2.70, 0.18, 2.72, 5.21),
-        (13.79, 10.13, 6.76, 0.35, 4.01, 7.68),
-    ),
+    ("deep_breathing", "all"): (9078, 10.22, 4.91, 1.46, 0.14, 1.79, 2.46),
+    ("deep_breathing", "unreliable"): (3514, 13.82, 6.49, 3.10, 0.21, 3.48, 2.91),
+    ("clasp_and_spread", "all"): (8043, 9.21, 8.18, 1.76, 0.13, 1.95, 3.21),
+    ("clasp_and_spread", "unreliable"): (2436, 13.12, 11.89, 6.23, 0.17, 4.26, 7.58),
+    ("overhead_pumping", "all"): (8638, 8.94, 7.36, 3.38, 0.21, 4.34, 5.58),
+    ("overhead_pumping", "unreliable"): (3222, 13.57, 11.54, 7.45, 0.24, 7.10, 7.98),
+    ("push_down_pumping", "all"): (10051, 8.38, 6.27, 2.70, 0.18, 2.72, 5.21),
+    ("push_down_pumping", "unreliable"): (4400, 13.79, 10.13, 6.76, 0.35, 4.01, 7.68),
 }
-"""Errors [cm] of Kinect, of Liu's method and of the paper's, and the latter's at
-shoulders, elbows and wrists: for all samples, and for the unreliable ones."""
-_FRAMES = {
-    "deep_breathing": (5564, 3514),
-    "clasp_and_spread": (5607, 2436),
-    "overhead_pumping": (5416, 3222),
-    "push_down_pumping": (5651, 4400),
-}
-"""Reliable and unreliable test frames (table 1)."""
+"""Test frames (table 1), and errors [cm] of Kinect, of Liu's method and of the paper's,
+then the latter's at shoulders, elbows and wrists, by exercise and samples."""
 _SYSTEMS = ("liu-2016:adapt=false", "chiang-2017")
 _SAMPLES = ("all", "unreliable")
 _ARM = ("Shoulder", "Elbow", "Wrist")
@@ -80,42 +65,32 @@ def chiang_tables_2_3(
     comparison, at most ``count`` recorded people perform all their movements: each is
     left out of training in turn, and all are tested on new repetitions.
     """
-    names = [*_CHIANG_2_3][:motions]
+    names = [name for name, samples in _CHIANG_2_3 if samples == "all"][:motions]
     # A v2's thumbs leave too few frames with every joint reliable.
     groups = simulated(options, names, learners=people, sensor="v1")
     found: dict[str, list[tuple[Flags, list[Array]]]] = {}
     for group in (*groups, *recorded(options, every=_EVERY, count=count)):
-        label = f"correct ({group.people})"
-        takes = over(group.tests, label, options.progress)
-        for k, (pair, arms) in enumerate(_arms(group, takes)):
+        tests = over(group.tests, f"correct ({group.people})", options.progress)
+        for k, (pair, arms) in enumerate(_arms(group, tests)):
             name = names[k % len(names)] if group in groups else "every movement"
             unreliable = _unreliable(pair, group.skeleton)
             found.setdefault(f"{name}, {group.people}", []).append((unreliable, arms))
     rows: list[Row] = []
-    for name, tested in found.items():
-        for samples in _SAMPLES:
-            chosen = [u if samples == "unreliable" else u | True for u, _ in tested]
-            frames = int(sum(map(np.sum, chosen)))
-            errors = _arm_errors(chosen, [arms for _, arms in tested]) if frames else ()
-            rows.append((f"{name}, {samples}", frames, *errors))
-    for name in names:
-        counts = sum(_FRAMES[name]), _FRAMES[name][1]
-        paper = zip(_SAMPLES, counts, _CHIANG_2_3[name], strict=True)
-        for samples, frames, figures in paper:
-            rows.append((f"{name}, paper, {samples}", frames, *figures))
-    bars = series_of(
-        [row for row in rows if str(row[0]).endswith("all")],
-        {"kinect": 2, "liu-2016": 3, "chiang-2017": 4},
-        kind="bars",
-    )
-    joints = ("kinect", "liu", "chiang", "shoulders", "elbows", "wrists")
-    columns = [f"{name}_cm" for name in joints]
-    return Study(
-        title="Clustered and local processes, by exercise (Chiang 2017, Tables 1 to 3)",
-        columns=("exercise, people, samples", "frames", *columns),
-        rows=rows,
-        panels=[Panel("exercise and people, all samples", "error, cm", bars)],
-    )
+    for (name, takes), samples in product(found.items(), _SAMPLES):
+        chosen = [u if samples == "unreliable" else u | True for u, _ in takes]
+        frames = int(sum(map(np.sum, chosen)))
+        cm = _arm_errors(chosen, [arms for _, arms in takes]) if frames else ()
+        rows.append((f"{name}, {samples}", frames, *cm))
+    for name, samples in product(names, _SAMPLES):
+        rows.append((f"{name}, paper, {samples}", *_CHIANG_2_3[name, samples]))
+    plotted = [row for row in rows if str(row[0]).endswith("all")]
+    columns = {"kinect": 2, "liu-2016": 3, "chiang-2017": 4}
+    bars = series_of(plotted, columns, kind="bars")
+    title = "Clustered and local processes, by exercise (Chiang 2017, Tables 1 to 3)"
+    names = ["kinect", "liu", "chiang", "shoulders", "elbows", "wrists"]
+    header = ("exercise, people, samples", "frames", *(f"{name}_cm" for name in names))
+    panels = [Panel("exercise and people, all samples", "error, cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _arms(
@@ -165,26 +140,23 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
         own = [pair for pair in clips if pair.movement == name]
         for split, (train, tests) in _splits(own, people[k % len(people)]).items():
             group = Group(split, tests, trainer_of(train, options))
-            arms = [errors for _, errors in _arms(group, tests)]
-            found.setdefault(split, []).extend(arms)
-    errors = {
+            found.setdefault(split, []).extend(arms for _, arms in _arms(group, tests))
+    means = {
         split: [mean_cm(*parts) for parts in zip(*takes, strict=True)]
         for split, takes in found.items()
     }
-    papers = [figures[0][:3] for figures in _CHIANG_2_3.values()]
-    errors["paper"] = np.mean(papers, axis=0).tolist()
+    papers = [row[1:4] for (_, samples), row in _CHIANG_2_3.items() if samples == "all"]
+    means["paper"] = np.mean(papers, axis=0).tolist()
     rows: list[Row] = [
         (split, raw, liu, chiang, 100.0 * (1.0 - chiang / raw))
-        for split, (raw, liu, chiang) in errors.items()
+        for split, (raw, liu, chiang) in means.items()
     ]
     columns = {"kinect": 1, "liu-2016": 2, "chiang-2017": 3}
     bars = series_of(rows, columns, kind="bars")
-    return Study(
-        title="Splits into training and test frames (Chiang 2017, Table 1)",
-        columns=("tested on", "kinect_cm", "liu_cm", "chiang_cm", "cut_percent"),
-        rows=rows,
-        panels=[Panel("test data", "error of the arms, cm", bars)],
-    )
+    title = "Splits into training and test frames (Chiang 2017, Table 1)"
+    header = ("tested on", "kinect_cm", "liu_cm", "chiang_cm", "cut_percent")
+    panels = [Panel("test data", "error of the arms, cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _splits(
@@ -235,16 +207,13 @@ def chiang_figure_5(options: Options, *, people: int = 40, values: int = 7) -> S
     ]
     times = series_of(rows[1:], {"chiang-2017": 3})
     label = "centroids Q (the paper chooses 800)"
-    return Study(
-        title="Centroids of the clustered process (Chiang 2017, Figure 5)",
-        columns=("centroids_Q", "new_people_cm", "known_people_cm", "ms", "paper_cm"),
-        rows=rows,
-        panels=[
-            Panel(label, "error, cm", lines, log_x=True),
-            Panel(label, "ms per frame", times, log_x=True),
-        ],
-        across=2,
-    )
+    title = "Centroids of the clustered process (Chiang 2017, Figure 5)"
+    header = ("centroids_Q", "new_people_cm", "known_people_cm", "ms", "paper_cm")
+    panels = [
+        Panel(label, "error, cm", lines, log_x=True),
+        Panel(label, "ms per frame", times, log_x=True),
+    ]
+    return Study(title, header, rows, panels, across=2)
 
 
 def chiang_figure_7(options: Options, *, people: int = 16) -> Study:

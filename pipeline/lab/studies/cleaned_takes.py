@@ -51,14 +51,11 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
         rows.append([name])
         for values in by_group.values():
             rows[-1] += _mean_and_worst(name, values)
-    ends = [f"{group}_{end}" for group in groups for end in ("mean", "worst")]
-    return Study(
-        title=f"{len(files)} recorded and {len(motions)} simulated takes, cleaned",
-        columns=("figure", *ends),
-        rows=rows,
-        panels=[_sorted_takes(name, figures[name]) for name in _PLOTTED],
-        across=2,
-    )
+    title = f"{len(files)} recorded and {len(motions)} simulated takes, cleaned"
+    ends = ("mean", "worst")
+    header = ("figure", *(f"{group}_{end}" for group in groups for end in ends))
+    panels = [_sorted_takes(name, figures[name]) for name in _PLOTTED]
+    return Study(title, header, rows, panels, across=2)
 
 
 def _figures(result: CleanResult) -> dict[str, float]:

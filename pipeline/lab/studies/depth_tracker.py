@@ -8,7 +8,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -88,15 +87,12 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
     for k, name in enumerate(recorded):
         own_rows = rows[k :: len(recorded)]
         bars += series_of(own_rows, {name: 2}, x=[*_GROUPS], kind="bars")
-    return Study(
-        title=f"Errors of trackers, relative to the hips, in {len(pairs)} clips",
-        columns=(
-            *("joints, tracker", "offset_cm", "moving_cm", "time_s"),
-            *("over_7_cm_percent", "like_recorded", "inferred_percent"),
-        ),
-        rows=rows,
-        panels=[Panel("joints", "moving error, cm", bars)],
+    title = f"Errors of trackers, relative to the hips, in {len(pairs)} clips"
+    header = (
+        *("joints, tracker", "offset_cm", "moving_cm", "time_s"),
+        *("over_7_cm_percent", "like_recorded", "inferred_percent"),
     )
+    return Study(title, header, rows, [Panel("joints", "moving error, cm", bars)])
 
 
 def _acts(options: Options, clips: int) -> list[Pair]:
@@ -118,29 +114,20 @@ def _error(pair: Pair) -> Array:
     return np.asarray(error - error[:, KINECT_V1.hips].mean(axis=1, keepdims=True))
 
 
-class ErrorFigures(NamedTuple):
-    """Size and course of a tracker's errors."""
-
-    offset: float
-    """Mean size of the constant part over a clip [cm]."""
-    moving: float
-    """Root mean square of the rest, the moving error [cm]."""
-    time: float
-    """Time after which the autocorrelation of the moving error is below 1/e [s]."""
-    far: float
-    """How often the moving error is over 7 cm [%]."""
-    alike: float | None
-    """Its correlation with that of another tracker; None without one."""
-
-
 def error_figures(
     clips: Sequence[Array], other: Sequence[Array] | None = None
-) -> ErrorFigures:
+) -> tuple[float, float, float, float, float | None]:
     """Return figures of a tracker's errors.
 
     Args:
         clips: Errors [m] at 30 frames per second, NaN where unknown, each (T, J, 3).
         other: Errors of another tracker in the same frames.
+
+    Returns:
+        The mean size of the constant part over a clip [cm]; of the rest, the moving
+        error, the root mean square [cm], the time after which its autocorrelation is
+        below 1/e [s], how often it is over 7 cm [%], and its correlation with that of
+        the other tracker.
     """
     offsets = [np.nanmean(clip, axis=0) for clip in clips]
     moving = [clip - mean for clip, mean in zip(clips, offsets, strict=True)]
@@ -152,7 +139,7 @@ def error_figures(
         others = [clip - np.nanmean(clip, axis=0) for clip in other]
         both = np.stack([np.concatenate([*map(np.ravel, m)]) for m in (moving, others)])
         alike = float(np.corrcoef(both[:, np.isfinite(both).all(axis=0)])[0, 1])
-    return ErrorFigures(
+    return (
         100.0 * float(np.nanmean(constant)),
         100.0 * float(np.sqrt(np.mean(size**2))),
         _correlation_time(moving),
@@ -207,12 +194,9 @@ def tracker_lessons(
         changes = [100.0 * (a / b - 1.0) for a, b in zip(errors, base, strict=True)]
         rows.append((name, *errors, *changes))
     bars = series_of(rows, {"E": 1, "E_var": 2}, kind="bars")
-    return Study(
-        title=f"Training on simulated takes, tested on {len(test)} recorded clips",
-        columns=("taught_by", "E_cm", "E_var_cm", "E_percent", "E_var_percent"),
-        rows=rows,
-        panels=[Panel("training data", "error, cm", bars)],
-    )
+    title = f"Training on simulated takes, tested on {len(test)} recorded clips"
+    header = ("taught_by", "E_cm", "E_var_cm", "E_percent", "E_var_percent")
+    return Study(title, header, rows, [Panel("training data", "error, cm", bars)])
 
 
 def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[PairedTake]]:

@@ -48,12 +48,10 @@ def reliability(options: Options, *, takes: int = 12, movements: int = 10) -> St
         bars.append(Series(scoring, [*groups], [area or 0.0 for area in far], "bars"))
         own = [recorded[scoring][key] if recorded else None for key in (_FAR, _VARYING)]
         rows.append((scoring, *far, areas[0][scoring][_VARYING], *own))
-    return Study(
-        title="Joints over 10 cm off, detected by reliability (area under ROC)",
-        columns=("scoring", *groups, _VARYING, *recorded_columns),
-        rows=rows,
-        panels=[Panel("class of movement", "area under the ROC curve", bars)],
-    )
+    title = "Joints over 10 cm off, detected by reliability (area under ROC)"
+    header = ("scoring", *groups, _VARYING, *recorded_columns)
+    panels = [Panel("class of movement", "area under the ROC curve", bars)]
+    return Study(title, header, rows, panels)
 
 
 def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Study:
@@ -85,12 +83,9 @@ def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Stu
         rows.append((name, len(flags) or None, sum(flags) if flags else None, share))
     names = [name.replace(", ", ",\n") for name in groups]
     bars = series_of(rows, {"found": 3}, x=names, kind="bars")
-    return Study(
-        title="Takes with a detected gross failure",
-        columns=("takes", "count", "found", "found_percent"),
-        rows=rows,
-        panels=[Panel("takes", "detected, %", bars)],
-    )
+    title = "Takes with a detected gross failure"
+    header = ("takes", "count", "found", "found_percent")
+    return Study(title, header, rows, [Panel("takes", "detected, %", bars)])
 
 
 def _kinds(take: Take) -> set[FailureKind]:

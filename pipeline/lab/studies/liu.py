@@ -27,6 +27,7 @@ from .traces import Trace, trace_study
 from .trial import Group, errors, mean_cm, simulated, trainer_of
 
 _NEW, _KNOWN = "new people", "known people"
+_HEADER = ("new_people_cm", "known_people_cm")
 _OFFLINE = "liu-2016:adapt=false"
 
 _HARD = ("tai_chi", "bend", "cross_arms")  # motions of table 5
@@ -99,24 +100,18 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
         paper = None if rows else _WALKING_SAMPLES
         rows.append((redundancy, kept, *cm, paper))
     label = "samples kept (paper: 681 of 1120 at about the same error)"
-    lines = series_of(rows, {_NEW: 2, _KNOWN: 3}, x=1)
-    return Study(
-        title="Posture budgeting: error by samples kept (Liu 2016, Figure 3)",
-        columns=(
-            *("redundancy", "samples_kept", "new_people_cm", "known_people_cm"),
-            "paper_samples_kept",
-        ),
-        rows=[*rows, ("paper", None, None, None, _WALKING_KEPT)],
-        panels=[Panel(label, "error, cm", lines)],
-    )
+    panels = [Panel(label, "error, cm", series_of(rows, {_NEW: 2, _KNOWN: 3}, x=1))]
+    rows.append(("paper", None, None, None, _WALKING_KEPT))
+    title = "Posture budgeting: error by samples kept (Liu 2016, Figure 3)"
+    header = ("redundancy", "samples_kept", *_HEADER, "paper_samples_kept")
+    return Study(title, header, rows, panels)
 
 
 def _budgeted(
     groups: list[Group], frames: int, redundancy: float
 ) -> tuple[float, list[float]]:
     """Return the number of samples kept out of ``frames``, and the errors [cm]."""
-    sizes = f"{_WIDE}:frames={frames}:redundancy={redundancy}"
-    preset = f"{_OFFSETS_ALONE}:{sizes}"
+    preset = f"{_OFFSETS_ALONE}:{_WIDE}:frames={frames}:redundancy={redundancy}"
     (system,) = systems_of((), [preset])
     method = cast(LocalGP, groups[0].trainer.corrector(system))
     kept = float(method.counts_.sum() / len(method.joints_))
@@ -142,15 +137,9 @@ def liu_table_2(options: Options, *, people: int = 10, motions: int = 8) -> Stud
     sums = [sum(cast(float, row[k]) for row in rows) for k in (1, 2, -2, -1)]
     bars = series_of(rows, {"kept": 2, "paper, Liu": 5, "paper, Zhou": 6}, kind="bars")
     rows.append(("all", *sums[:2], None, None, *sums[2:]))
-    return Study(
-        title="Frames in the database of each motion (Liu 2016, Table 2)",
-        columns=(
-            *("motion", "frames", "kept", "new_people_cm", "known_people_cm"),
-            *("paper_liu", "paper_zhou"),
-        ),
-        rows=rows,
-        panels=[Panel("motion", "frames", bars)],
-    )
+    title = "Frames in the database of each motion (Liu 2016, Table 2)"
+    header = ("motion", "frames", "kept", *_HEADER, "paper_liu", "paper_zhou")
+    return Study(title, header, rows, [Panel("motion", "frames", bars)])
 
 
 def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study:
@@ -190,12 +179,9 @@ def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study
     offline = milliseconds[_SYSTEMS.index(_OFFLINE)]
     rows.append(("times as long as offline", None, *(milliseconds / offline)))
     systems = ("kinect", "shen_2012", "zhou_2014", "liu_offline", "liu_incremental")
-    return Study(
-        title="Exemplars, full and local processes (Liu 2016, Table 3 and section 5.3)",
-        columns=("motion, people", *(f"{name}_cm" for name in systems)),
-        rows=rows,
-        panels=[Panel("motion and people", "error, cm", bars)],
-    )
+    title = "Exemplars, full and local processes (Liu 2016, Table 3 and section 5.3)"
+    header = ("motion, people", *(f"{name}_cm" for name in systems))
+    return Study(title, header, rows, [Panel("motion and people", "error, cm", bars)])
 
 
 def liu_table_4(
@@ -226,20 +212,17 @@ def liu_table_4(
         for group, tested in _folds(takes[part], labels[part], options):
             runners, distances = group.runners([_OFFLINE]), group.accuracy.distances
             for pair, label in zip(group.tests, tested, strict=True):
-                errors = [distances(run(pair.take), pair.truth) for run in runners]
-                found.setdefault(label, []).append(errors)
+                both = [distances(run(pair.take), pair.truth) for run in runners]
+                found.setdefault(label, []).append(both)
     rows: list[Row] = []
     for name, parts in found.items():
         forest, liu = (mean_cm(*part) for part in zip(*parts, strict=True))
         rows.append((name, forest, liu, *_LIU_4.get(name, (None, None))))
     columns = {"forest": 1, "liu, offline": 2, "paper, forest": 3, "paper, Liu": 4}
     bars = series_of(rows, columns, kind="bars")
-    return Study(
-        title="A tracker of depth images, corrected (Liu 2016, Table 4)",
-        columns=("motion", "forest_cm", "liu_cm", "paper_forest_cm", "paper_liu_cm"),
-        rows=rows,
-        panels=[Panel("motion", "error, cm", bars)],
-    )
+    title = "A tracker of depth images, corrected (Liu 2016, Table 4)"
+    header = ("motion", "forest_cm", "liu_cm", "paper_forest_cm", "paper_liu_cm")
+    return Study(title, header, rows, [Panel("motion", "error, cm", bars)])
 
 
 def _folds(
@@ -277,16 +260,9 @@ def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study
             lines += series_of(own, {f"S = {samples}": column}, x=1)
         label = f"L, {group} (the paper chooses S = 50, L = 9)"
         panels.append(Panel(label, "error, cm", lines, zero=False))
-    return Study(
-        title="Samples per local model, and blended models (Liu 2016, Figure 7)",
-        columns=(
-            *("samples_S", "blended_L", "new_people_cm", "known_people_cm"),
-            "paper",
-        ),
-        rows=rows,
-        panels=panels,
-        across=2,
-    )
+    title = "Samples per local model, and blended models (Liu 2016, Figure 7)"
+    header = ("samples_S", "blended_L", *_HEADER, "paper")
+    return Study(title, header, rows, panels, across=2)
 
 
 def liu_figure_8(options: Options, *, people: int = 16) -> Study:
@@ -336,9 +312,6 @@ def liu_table_5(
     plotted = [row for row in rows if str(row[0]).count(",") < 2]
     columns = {name: names.index(name) + 1 for name in _TERMS}
     bars = series_of(plotted, columns, kind="bars")
-    return Study(
-        title="Terms of the energy of liu-2016 (Liu 2016, Table 5)",
-        columns=("situation", *(f"{n}_cm" for n in names), "less_than_S_percent"),
-        rows=rows,
-        panels=[Panel("terms of the energy", "error, cm", bars)],
-    )
+    title = "Terms of the energy of liu-2016 (Liu 2016, Table 5)"
+    header = ("situation", *(f"{n}_cm" for n in names), "less_than_S_percent")
+    return Study(title, header, rows, [Panel("terms of the energy", "error, cm", bars)])

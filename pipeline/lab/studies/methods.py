@@ -15,7 +15,7 @@ from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
 
 from .doubtful_limbs import hidden_limb_errors
-from .study import Cell, Options, Panel, Study, series_of
+from .study import Options, Panel, Row, Study, series_of
 from .takes import clips_of, recorded_people
 
 _METHODS = (
@@ -100,34 +100,23 @@ def _errors(figures: dict[str, Any]) -> dict[str, _People]:
 
 def _study(title: str, errors: dict[str, _People]) -> Study:
     """Return errors, and their changes relative to raw: means and worst person."""
-    raw = errors["raw"]
-    rows: list[tuple[Cell, ...]] = []
-    for method, found in errors.items():
-        means = [_mean(found, key) for key in _ERRORS]
-        changes = [_change(_mean(found, key), _mean(raw, key)) for key in _ERRORS]
-        worst = [
-            max(_change(found[person][key], raw[person][key]) for person in found)
-            for key in _ERRORS
-        ]
-        rows.append((method, *means, *changes, *worst))
+    by_method = {
+        method: np.array(
+            [[found[person][key] for key in _ERRORS] for person in errors["raw"]]
+        )
+        for method, found in errors.items()
+    }
+    raw = by_method["raw"]
+    rows: list[Row] = []
+    for method, found in by_method.items():
+        mean, worst = found.mean(axis=0), (found / raw).max(axis=0)
+        changes = [100.0 * (ratio - 1.0) for ratio in (mean / raw.mean(axis=0), worst)]
+        rows.append((method, *np.concatenate([mean, *changes]).tolist()))
     bars = series_of(rows, {"E": 1, "E_std": 2, "E_var": 3}, kind="bars")
     figures = ("cm", "change_percent", "worst_person_percent")
-    columns = [f"{key}_{figure}" for figure in figures for key in _ERRORS]
-    return Study(
-        title=f"{title}: {len(raw)} people",
-        columns=("method", *columns),
-        rows=rows,
-        panels=[Panel("method", "error, cm", bars)],
-    )
-
-
-def _mean(found: _People, key: str) -> float:
-    return float(np.mean([errors[key] for errors in found.values()]))
-
-
-def _change(error: float, before: float) -> float:
-    """Return the relative change of an error [%]."""
-    return 100.0 * (error / before - 1.0)
+    header = ("method", *(f"{key}_{figure}" for figure in figures for key in _ERRORS))
+    panels = [Panel("method", "error, cm", bars)]
+    return Study(f"{title}: {len(raw)} people", header, rows, panels)
 
 
 def presets(options: Options, *, count: int = 1000, clips: int = 1000) -> Study:
@@ -153,18 +142,15 @@ def presets(options: Options, *, count: int = 1000, clips: int = 1000) -> Study:
         most=clips,
     )
     raw = found["raw"]["seen, known people"]
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for name, errors in found.items():
         figures = [errors[where] for where in _SITUATIONS]
         cut = 100.0 * (1.0 - errors["seen, known people"] / raw)
         rows.append((name, *figures, cut, _CUTS.get(name)))
     bars = series_of(rows, {"new": 1, "known": 2, "drifting": 3}, kind="bars")
-    return Study(
-        title="The papers' systems on recorded people and hidden limbs",
-        columns=(
-            *("system", "new_all_cm", "known_all_cm", "drifting_hidden_cm"),
-            *("missing_hidden_cm", "known_cut_percent", "paper_cut_percent"),
-        ),
-        rows=rows,
-        panels=[Panel("system", "error, cm", bars)],
+    title = "The papers' systems on recorded people and hidden limbs"
+    header = (
+        *("system", "new_all_cm", "known_all_cm", "drifting_hidden_cm"),
+        *("missing_hidden_cm", "known_cut_percent", "paper_cut_percent"),
     )
+    return Study(title, header, rows, [Panel("system", "error, cm", bars)])

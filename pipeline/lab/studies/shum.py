@@ -103,15 +103,13 @@ def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> St
         {"upper body": 1, "lower body": 2, "paper, upper": 3, "paper, lower": 4},
         kind="bars",
     )
-    return Study(
-        title="Spread of joints by class of motion (Shum 2013, Tables I and II)",
-        columns=(
-            *("table", "class", "frames", "upper_cm", "lower_cm"),
-            *("paper_upper_cm", "paper_lower_cm"),
-        ),
-        rows=rows,
-        panels=[Panel("class of motion, scene", "standard deviation, cm", bars)],
+    title = "Spread of joints by class of motion (Shum 2013, Tables I and II)"
+    header = (
+        *("table", "class", "frames", "upper_cm", "lower_cm"),
+        *("paper_upper_cm", "paper_lower_cm"),
     )
+    panels = [Panel("class of motion, scene", "standard deviation, cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _deviations(
@@ -154,12 +152,10 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
         rows.append((setup, free, kept, paper))
     columns = {"posture space": 1, "given joints kept": 2, "paper": 3}
     bars = series_of(rows, columns, x=[setup[:3] for setup in _SETUPS], kind="bars")
-    return Study(
-        title="Postures from some of their joints (Shum 2013, Table III)",
-        columns=("joints_given", "difference_cm", "joints_kept_cm", "paper_cm"),
-        rows=rows,
-        panels=[Panel("joints given", "difference (eq. 18), cm", bars)],
-    )
+    title = "Postures from some of their joints (Shum 2013, Table III)"
+    header = ("joints_given", "difference_cm", "joints_kept_cm", "paper_cm")
+    panels = [Panel("joints given", "difference (eq. 18), cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _standard_postures(motion: str, person: int) -> Array:
@@ -220,15 +216,13 @@ def shum_table_4(options: Options, *, takes: int = 12) -> Study:
     columns = {"raw": 2, "reconstructed": 4}
     papers = {"paper, raw": 6, "paper, reconstructed": 7}
     bars = series_of(rows, columns | papers, kind="bars")
-    return Study(
-        title="Errors of cleaned takes (Shum 2013, Table IV)",
-        columns=(
-            *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
-            *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
-        ),
-        rows=rows,
-        panels=[Panel("class of movement", "error (eq. 18), cm", bars)],
+    title = "Errors of cleaned takes (Shum 2013, Table IV)"
+    header = (
+        *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
+        *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
     )
+    panels = [Panel("class of movement", "error (eq. 18), cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Study:
@@ -267,17 +261,14 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
             rows.append((name, value, "solver", *own, paper[name]))
     figures = ("energy_m2", "error_cm", "ms")
     labels = ("energy, m²", "error (eq. 18), cm", "ms per frame")
-    return Study(
-        title="Parameters of local PCA (Shum 2013, Table V and Figure 8)",
-        columns=("parameter", "value", "search", *figures, "paper_chosen_value"),
-        rows=rows,
-        panels=[
-            _panel(rows, name, 3 + k, label)
-            for k, label in enumerate(labels)
-            for name in _PARAMETERS
-        ],
-        across=len(_PARAMETERS),
-    )
+    title = "Parameters of local PCA (Shum 2013, Table V and Figure 8)"
+    header = ("parameter", "value", "search", *figures, "paper_chosen_value")
+    panels = [
+        _panel(rows, name, 3 + k, label)
+        for k, label in enumerate(labels)
+        for name in _PARAMETERS
+    ]
+    return Study(title, header, rows, panels, across=len(_PARAMETERS))
 
 
 def _spread(choices: Sequence[int], count: int) -> list[int]:

@@ -47,12 +47,8 @@ def speed(options: Options, *, rounds: int = 3) -> Study:
     medians = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
     rows = [*medians.items()]
     bars = series_of(rows[: len(_STAGES)], {"stages": 1}, x=_STAGES, kind="bars")
-    return Study(
-        title="Speed, frame by frame on one core",
-        columns=("what", "value"),
-        rows=rows,
-        panels=[Panel("stage", "ms per frame", bars)],
-    )
+    panels = [Panel("stage", "ms per frame", bars)]
+    return Study("Speed, frame by frame on one core", ("what", "value"), rows, panels)
 
 
 def _figures() -> dict[str, float]:
@@ -95,16 +91,13 @@ def million_postures(
         rows.append((len(part), *ours, *theirs, theirs[0] / ours[0], share))
     columns = {"boxes": 1, "boxes, 99 %": 2, "product": 3, "product, 99 %": 4}
     lines = series_of(rows, columns)
-    panel = Panel("postures", "ms per query", lines, log_x=True, log_y=True)
-    return Study(
-        title="Nearest-neighbor search in many postures",
-        columns=(
-            *("postures", "median_ms", "ms_of_99_percent", "product_median_ms"),
-            *("product_ms_of_99_percent", "times_faster", "exact_percent"),
-        ),
-        rows=rows,
-        panels=[panel],
+    panels = [Panel("postures", "ms per query", lines, log_x=True, log_y=True)]
+    title = "Nearest-neighbor search in many postures"
+    header = (
+        *("postures", "median_ms", "ms_of_99_percent", "product_median_ms"),
+        *("product_ms_of_99_percent", "times_faster", "exact_percent"),
     )
+    return Study(title, header, rows, panels)
 
 
 def _postures(people: int, progress: Progress) -> Postures:
@@ -151,8 +144,7 @@ def _milliseconds(
             start = perf_counter()
             find(query)
             times[repeat, k] = perf_counter() - start
-    found: list[float] = np.percentile(times.min(axis=0) * 1e3, [50, 99]).tolist()
-    return found
+    return [float(ms) for ms in np.percentile(times.min(axis=0) * 1e3, [50, 99])]
 
 
 def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:

@@ -68,13 +68,8 @@ def trace_study(
             line = 100.0 * np.nan_to_num(found[0])
             lines.append(Series(system, times[0].tolist(), line.tolist()))
         panels.append(Panel(f"s, {name}", "error, cm", lines))
-    return Study(
-        title=title,
-        columns=(
-            *("joint, motion, system", "new_cm", "known_cm", "new_jitter"),
-            *("known_jitter", "paper_cm"),
-        ),
-        rows=rows,
-        panels=panels,
-        across=len(panels),
+    header = (
+        *("joint, motion, system", "new_cm", "known_cm", "new_jitter"),
+        *("known_jitter", "paper_cm"),
     )
+    return Study(title, header, rows, panels, across=len(panels))

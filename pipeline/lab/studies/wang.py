@@ -44,12 +44,9 @@ def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
         seconds, converged = process_time() - start, str(method.converged_)
         rows.append((count, seconds, method.iterations_, converged, _WANG_1[count]))
     lines = series_of(rows, {"wang-low-rank": 1, "paper": 4})
-    return Study(
-        title="Time to recover a take (Wang, Table I)",
-        columns=("frames", "seconds", "iterations", "converged", "paper_seconds"),
-        rows=rows,
-        panels=[Panel("frames", "s", lines)],
-    )
+    title = "Time to recover a take (Wang, Table I)"
+    header = ("frames", "seconds", "iterations", "converged", "paper_seconds")
+    return Study(title, header, rows, [Panel("frames", "s", lines)])
 
 
 def _dances(options: Options, frames: int) -> list[PairedTake]:
@@ -89,12 +86,10 @@ def wang_figure_1(options: Options, *, frames: int = 1423) -> Study:
     lines = series_of(rows, {name: k for k, name in enumerate(spectra, 1)})
     ranks = [int((values >= _SMALL).sum()) for values in spectra.values()]
     names = [name.replace(", ", "_").replace(" ", "_") for name in spectra]
-    return Study(
-        title="Singular values of takes (Wang, Figure 1)",
-        columns=("value", *names, "paper"),
-        rows=[*rows, ("rank", *ranks, _RANK)],
-        panels=[Panel("singular value", "share of the largest", lines, log_y=True)],
-    )
+    title = "Singular values of takes (Wang, Figure 1)"
+    header = ("value", *names, "paper")
+    panels = [Panel("singular value", "share of the largest", lines, log_y=True)]
+    return Study(title, header, [*rows, ("rank", *ranks, _RANK)], panels)
 
 
 def _spectrum(positions: Array) -> Array:
