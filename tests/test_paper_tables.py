@@ -77,10 +77,8 @@ def test_frames_are_unreliable_as_chiang_has_it() -> None:
     pair = simulate("basic", "wave", sensor="v1")
     positions, wrist = pair.take.positions.copy(), KINECT_V1.index("WristLeft")
     positions[100, wrist] += 0.5  # and back, within a frame
-    found = chiang._unreliable(
-        replace(pair, take=replace(pair.take, positions=positions)), KINECT_V1
-    )
-    before = chiang._unreliable(pair, KINECT_V1)
+    moved = replace(pair, take=replace(pair.take, positions=positions))
+    found, before = chiang._unreliable(moved), chiang._unreliable(pair)
     assert found[100]
     assert (found != before)[[*range(99), *range(104, len(found))]].sum() == 0
 

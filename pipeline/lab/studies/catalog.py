@@ -10,17 +10,9 @@ from pathlib import Path
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
-from . import (
-    chiang,
-    cleaned_takes,
-    depth_tracker,
-    detection,
-    liu,
-    methods,
-    shum,
-    speed,
-    wang,
-)
+from . import chiang, depth_tracker, detection, liu, methods, shum, wang
+from .cleaned_takes import cleaned_takes
+from .speed import million_postures, speed
 from .study import Options, Study
 
 _FLOORS = ("characters", "retarget", "scenes", "pipeline")
@@ -28,7 +20,7 @@ _SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")
 _EXCEPT = ("claims.toml",)  # has no effect on what is measured
 
 STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
-    "cleaned-takes": (cleaned_takes.cleaned_takes, {"count": 2}),
+    "cleaned-takes": (cleaned_takes, {"count": 2}),
     "methods-new-people": (methods.methods_new_people, {"count": 2, "movements": 1}),
     "methods-known-people": (
         methods.methods_known_people,
@@ -36,8 +28,8 @@ STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
     ),
     "failures": (detection.failures, {"count": 2, "movements": 1}),
     "reliability": (detection.reliability, {"takes": 1, "movements": 1}),
-    "speed": (speed.speed, {"rounds": 1}),
-    "million-postures": (speed.million_postures, {"values": 2, "people": 1}),
+    "speed": (speed, {"rounds": 1}),
+    "million-postures": (million_postures, {"values": 2, "people": 1}),
     "shum-tables-1-2": (shum.shum_tables_1_2, {"people": 1, "takes": 1}),
     "shum-table-3": (shum.shum_table_3, {"motions": 1}),
     "shum-table-4": (shum.shum_table_4, {"takes": 1}),

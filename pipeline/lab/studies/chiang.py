@@ -9,7 +9,6 @@ from time import perf_counter
 
 import numpy as np
 
-from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
@@ -73,8 +72,8 @@ def chiang_tables_2_3(
         tests = over(group.tests, f"correct ({group.people})", options.progress)
         for k, (pair, arms) in enumerate(_arms(group, tests)):
             name = names[k % len(names)] if group in groups else "every movement"
-            unreliable = _unreliable(pair, group.skeleton)
-            found.setdefault(f"{name}, {group.people}", []).append((unreliable, arms))
+            key = f"{name}, {group.people}"
+            found.setdefault(key, []).append((_unreliable(pair), arms))
     rows: list[Row] = []
     for (name, takes), samples in product(found.items(), _SAMPLES):
         chosen = [u if samples == "unreliable" else u | True for u, _ in takes]
@@ -112,14 +111,14 @@ def _arm_errors(chosen: Sequence[Flags], takes: Sequence[list[Array]]) -> list[f
     return [mean_cm(part) for part in (*arms, *by_joint)]
 
 
-def _unreliable(pair: PairedTake, skeleton: Skeleton) -> Flags:
+def _unreliable(pair: PairedTake) -> Flags:
     """Return the frames in which the upper body scores as unreliable, shape (T,)."""
-    preset = PRESETS["chiang-2017"]
-    draft = observed(pair, CleanConfig(preset="chiang-2017"))
+    skeleton = pair.take.skeleton
     names = [part + side for part in _ARM for side in ("Left", "Right")]
     joints = [skeleton.girdle, *map(skeleton.index, names)]
-    limit = preset.settings["smallest_reliability"]
-    return np.asarray((draft.reliability[:, joints] <= limit).any(axis=1))
+    reliability = observed(pair, CleanConfig(preset="chiang-2017")).reliability
+    limit = PRESETS["chiang-2017"].settings["smallest_reliability"]
+    return np.asarray((reliability[:, joints] <= limit).any(axis=1))
 
 
 def chiang_table_1(options: Options, *, movements: int = 10) -> Study:

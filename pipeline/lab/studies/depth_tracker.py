@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -23,7 +22,7 @@ from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
 from kinefilter.pipeline.lab.simulate import simulated_pair
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import Progress, over
+from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import Tracker
@@ -180,17 +179,22 @@ def tracker_lessons(
         simulated: dict[str, list[PairedTake]] = {}
         for tracker in _TRACKERS:
             record = partial(simulated_pair, skeleton=skeleton.name, tracker=tracker)
-            found = pool.map(record, range(people))
+            takes = pool.map(record, range(people))
             steps = options.progress(tracker, people)
-            simulated[tracker] = [next(found) for _ in steps]
+            simulated[tracker] = [next(takes) for _ in steps]
         for tracker in _TRACKERS:
             without = [_without_offsets(pair) for pair in simulated[tracker]]
             simulated[f"{tracker}, offsets off"] = without
         simulated["perfect"] = [_without_errors(pair) for pair in simulated["model"]]
-        figures = _train_and_test(pool, simulated, known, test, options.progress)
-    base = figures["none"]
+        sets: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
+        sets |= {name: (pairs, []) for name, pairs in simulated.items()}
+        sets["recorded"] = (known, [])
+        sets |= {f"recorded and {name}": (known, simulated[name]) for name in _TRACKERS}
+        jobs = [pool.submit(_train_and_test, *pairs, test) for pairs in sets.values()]
+        found = [job.result() for job in over(jobs, "train", options.progress)]
+    base = found[0]
     rows: list[Row] = []
-    for name, errors in figures.items():
+    for name, errors in zip(sets, found, strict=True):
         changes = [100.0 * (a / b - 1.0) for a, b in zip(errors, base, strict=True)]
         rows.append((name, *errors, *changes))
     bars = series_of(rows, {"E": 1, "E_var": 2}, kind="bars")
@@ -226,23 +230,6 @@ def _without_offsets(pair: PairedTake) -> PairedTake:
 
 
 def _train_and_test(
-    pool: Executor,
-    simulated: Mapping[str, list[PairedTake]],
-    known: list[PairedTake],
-    test: list[PairedTake],
-    progress: Progress,
-) -> dict[str, tuple[float, float]]:
-    """Return E and E_var [cm] by training data."""
-    sets: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
-    sets |= {name: (pairs, []) for name, pairs in simulated.items()}
-    sets["recorded"] = (known, [])
-    sets |= {f"recorded and {name}": (known, simulated[name]) for name in _TRACKERS}
-    jobs = [pool.submit(_measured, *pairs, test) for pairs in sets.values()]
-    found = [job.result() for job in over(jobs, "train", progress)]
-    return dict(zip(sets, found, strict=True))
-
-
-def _measured(
     pairs: list[PairedTake], simulated: list[PairedTake], test: list[PairedTake]
 ) -> tuple[float, float]:
     """Return E and E_var [cm] after training on pairs; without any, uncorrected."""

@@ -161,16 +161,13 @@ def _means(
         seed = zlib.crc32(pair.clip.encode())
         for where in guesses:
             guess = GUESSES[where]
-            positions, turn = run(
-                take if guess is None else hide(take, joints, span, guess, seed)
-            )
+            shown = take if guess is None else hide(take, joints, span, guess, seed)
+            positions, turn = run(shown)
             errors = 100.0 * accuracy.distances(positions, leveled(pair.truth, *turn))
             parts = {where: errors}
             if guess is not None:
-                parts = {
-                    where: errors[span][:, hidden],
-                    f"{where}, all joints": errors[span],
-                }
+                gap = errors[span]
+                parts = {where: gap[:, hidden], f"{where}, all joints": gap}
             for name, part in parts.items():
                 found.setdefault(name, []).append(float(np.nanmean(part)))
     return {where: float(np.mean(errors)) for where, errors in found.items()}

@@ -86,10 +86,9 @@ def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> St
     virtual Kinect.
     """
     first, rows = first_person(options.seed), list[Row]()
+    performers = range(first, first + people)
     for name, (motions, *paper) in _SHUM_1.items():
-        pairs = performed_by(
-            range(first, first + people), motions, progress=options.progress
-        )
+        pairs = performed_by(performers, motions, progress=options.progress)
         postures = [standard_truth(pair, observed(pair)) for pair in pairs]
         rows.append(("I", name, *_deviations(pairs, postures), *paper))
     recorded = [p for c in CLASSES for p in study_takes(c, options, count=takes)]
@@ -98,11 +97,8 @@ def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> St
         postures = [observed(pair).standard for pair in pairs]
         if pairs:
             rows.append(("II", scene, *_deviations(pairs, postures), *figures))
-    bars = series_of(
-        [(row[1], *row[3:]) for row in rows],
-        {"upper body": 1, "lower body": 2, "paper, upper": 3, "paper, lower": 4},
-        kind="bars",
-    )
+    columns = {"upper body": 3, "lower body": 4, "paper, upper": 5, "paper, lower": 6}
+    bars = series_of(rows, columns, x=[str(row[1]) for row in rows], kind="bars")
     title = "Spread of joints by class of motion (Shum 2013, Tables I and II)"
     header = (
         *("table", "class", "frames", "upper_cm", "lower_cm"),
@@ -145,7 +141,7 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
     for setup, (given, paper) in _SETUPS.items():
         reliability = np.isin(KINECT_V1.joints, given).astype(float)
         errors = [
-            _reconstruction_errors(act, reliability, LocalPCA(database))
+            _errors(act, reliability, LocalPCA(database))
             for act in over(acts, f"from {len(given)} joints", options.progress)
         ]
         free, kept = (100.0 * np.concatenate(errors).mean(axis=0)).tolist()
@@ -167,22 +163,14 @@ def _standard_postures(motion: str, person: int) -> Array:
     return Standardizer(body).standardize(positions, view)
 
 
-def _reconstruction_errors(
-    postures: Array, reliability: Array, method: LocalPCA
-) -> Array:
-    """Return eq. 18 for each frame [m], shape (T, 2).
-
-    The first column is for the posture of least energy, the second with the given
-    joints kept.
-    """
+def _errors(postures: Array, reliability: Array, method: LocalPCA) -> Array:
+    """Return eq. 18 [m] at least energy, and with the given joints kept, (T, 2)."""
     seen = np.where(reliability[:, None] > 0.0, postures, np.nan)
     method.start()
     free = [method.synthesize(frame, reliability)[0] for frame in seen]
     method.start()
-    kept = [
-        method.step(Observation(frame, reliability, reliability)).positions
-        for frame in seen
-    ]
+    frames = [Observation(frame, reliability, reliability) for frame in seen]
+    kept = [method.step(frame).positions for frame in frames]
     motions = np.array([free, kept])
     errors = [bone_errors(motion, postures, KINECT_V1) for motion in motions]
     return np.stack([error.mean(axis=1) for error in errors], axis=1)
@@ -213,9 +201,8 @@ def shum_table_4(options: Options, *, takes: int = 12) -> Study:
         before, after = _PAPER_ERRORS[kind]
         ours = (seconds, raw, corrected, cleaned, cut)
         rows.append((f"({kind})", *ours, before, after, 100.0 * (1.0 - after / before)))
-    columns = {"raw": 2, "reconstructed": 4}
-    papers = {"paper, raw": 6, "paper, reconstructed": 7}
-    bars = series_of(rows, columns | papers, kind="bars")
+    columns = {"raw": 2, "reconstructed": 4, "paper, raw": 6, "paper, reconstructed": 7}
+    bars = series_of(rows, columns, kind="bars")
     title = "Errors of cleaned takes (Shum 2013, Table IV)"
     header = (
         *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
@@ -244,7 +231,7 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
     tried = {name: _spread(every, values) for name, (_, every) in _PARAMETERS.items()}
     databases = _databases({*tried["postures"], paper["postures"]}, progress)
 
-    def measure(search: Search, **varied: int) -> tuple[float, float, float]:
+    def measure(search: Search, **varied: int) -> list[float]:
         settings: dict[str, Any] = paper | varied
         database = databases[settings.pop("postures")]
         return _measure(LocalPCA(database, search=search, **settings), takes)
@@ -253,11 +240,10 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
     rows: list[Row] = []
     for name, tries in tried.items():
         for value in over(tries, name, progress):
-            sampled = measure("stochastic", **{name: value})
+            varied = {name: value}
+            sampled = measure("stochastic", **varied)
             rows.append((name, value, "stochastic", *sampled, paper[name]))
-            own = (
-                solved if name in _SAMPLING_ONLY else measure("solver", **{name: value})
-            )
+            own = solved if name in _SAMPLING_ONLY else measure("solver", **varied)
             rows.append((name, value, "solver", *own, paper[name]))
     figures = ("energy_m2", "error_cm", "ms")
     labels = ("energy, m²", "error (eq. 18), cm", "ms per frame")
@@ -291,7 +277,6 @@ def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase
 
 
 def _unfiltered(progress: Progress) -> PostureDatabase:
-    """Return all postures of the scripted performances."""
     parts = scripted_postures(KINECT_V1, progress)
     labels, postures, rotations = zip(*parts, strict=True)
     return PostureDatabase(
@@ -302,9 +287,7 @@ def _unfiltered(progress: Progress) -> PostureDatabase:
     )
 
 
-def _measure(
-    method: LocalPCA, takes: Sequence[StandardizedTake]
-) -> tuple[float, float, float]:
+def _measure(method: LocalPCA, takes: Sequence[StandardizedTake]) -> list[float]:
     """Return energy [m^2], error [cm] and time per frame [ms]."""
     energies, seconds, errors = [], [], []
     for take in takes:
@@ -320,7 +303,7 @@ def _measure(
         positions, truth = take.undo(postures)[:_FRAMES], take.pair.truth[:_FRAMES]
         errors.append(bone_errors(positions, truth, KINECT_V1))
     error = float(np.concatenate(errors).mean())
-    return float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))
+    return [float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))]
 
 
 def _panel(rows: Sequence[Row], name: str, column: int, label: str) -> Panel:

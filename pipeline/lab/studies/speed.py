@@ -52,7 +52,6 @@ def speed(options: Options, *, rounds: int = 3) -> Study:
 
 
 def _figures() -> dict[str, float]:
-    """Return the figures of one round by name."""
     timed = bench()
     stages, search, offline = timed["ms_per_frame"], timed["search"], timed["offline"]
     bare = timed["mj_step_ms_per_frame"]

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -23,8 +23,6 @@ from .study import Options
 from .takes import clips_of, first_person, performed_by, recorded_people
 
 _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them anyway
-Errors = dict[str, float]
-"""Mean errors [cm] by test group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +34,10 @@ class Group:
     tests: list[PairedTake]
     trainer: School
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """The skeleton of the takes."""
-        return self.tests[0].take.skeleton
-
     @cached_property
     def accuracy(self) -> Accuracy:
-        """Measures distances of motions of this skeleton from the truth."""
-        return Accuracy(self.skeleton)
+        """Measures distances of the takes' motions from the truth."""
+        return Accuracy(self.tests[0].take.skeleton)
 
     def runners(self, presets: Sequence[str]) -> list[Callable[[Take], Array]]:
         """Return functions from a take to joint positions [m].
@@ -151,12 +144,9 @@ def trainer_of(clips: list[PairedTake], options: Options) -> School:
     )
 
 
-def errors(groups: Sequence[Group], preset: str | None) -> Errors:
+def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
     """Return a preset's mean error [cm] by test group; None: that of raw takes."""
-    found: dict[str, list[Array]] = {}
-    for group in groups:
-        found.setdefault(group.people, []).extend(group.error(preset))
-    return {people: mean_cm(*parts) for people, parts in found.items()}
+    return {group.people: mean_cm(*group.error(preset)) for group in groups}
 
 
 def mean_cm(*parts: Array) -> float:
