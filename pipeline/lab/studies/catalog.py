@@ -65,12 +65,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
-    """Run a study.
-
-    Args:
-        name: One of STUDIES.
-        options: Settings common to all studies.
-        quick: Run on a small part of everything; the figures then mean little.
+    """Run a study, or with ``quick`` a small part of it; its figures then mean little.
 
     Raises:
         InputError: Unknown study, or recordings that are missing from the folder.

@@ -44,7 +44,6 @@ _EXERCISE = ("push_down_pumping",)  # exercise 4, as in figure 5
 _CENTROIDS = (25, 50, 100, 200, 400, 800, 1600)  # Q
 _PAPER_CENTROIDS = 800
 _PAPER_RAW, _PAPER_ERROR = 8.38, 2.70  # cm, for exercise 4 at that Q (table 2)
-
 _FOLLOWED = (
     (("push_down_pumping", "WristLeft"), 11.38, 5.08),
     (("overhead_pumping", "ElbowLeft"), 8.56, 4.19),

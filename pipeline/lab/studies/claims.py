@@ -108,17 +108,14 @@ class Verdict:
 
 
 def judge(folder: Path, *, recordings: bool, quick: bool = False) -> list[Verdict]:
-    """Compare every claim with the studies' tables in a folder.
+    """Compare every claim with the tables that studies wrote to a folder.
 
-    Args:
-        folder: The folder with ``NAME.csv`` of every study.
-        recordings: Whether the studies had recordings.
-        quick: Whether the studies ran with ``--quick``; if so, nothing is judged.
+    Without ``recordings``, claims that require them are not judged. With ``quick``,
+    none are, because the studies ran on a small part of everything.
     """
     claims = read_claims()
-    tables = {
-        name: _cells(folder / f"{name}.csv") for name in {c.study for c in claims}
-    }
+    names = {claim.study for claim in claims}
+    tables = {name: _cells(folder / f"{name}.csv") for name in names}
     verdicts = []
     for claim in claims:
         cell = tables[claim.study].get((claim.row, claim.column), "")

@@ -32,12 +32,8 @@ def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
     """Return each segment's error relative to its parent joint [m], shape (T, S).
 
     Shum 2013, eq. 18, is the mean of these over frames and segments; it ignores where
-    the whole body is. NaN where a joint of the segment is missing in either motion.
-
-    Args:
-        one: Joint positions [m], shape (T, J, 3).
-        other: Joint positions in the same frames and orientation, shape (T, J, 3).
-        skeleton: The skeleton of both.
+    the whole body is. NaN where a joint of the segment is missing in either motion. The
+    motions [m], shape (T, J, 3), have the same frames and orientation.
     """
     ends, starts = skeleton.segments, skeleton.segment_parents
     offsets = one - other

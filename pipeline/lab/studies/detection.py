@@ -7,8 +7,8 @@ from scipy.ndimage import minimum_filter1d
 
 from kinefilter import read_take
 from kinefilter.characters import Take
-from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.failures import FailureKind, find_failures
+from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.evaluate import reliability_auc
 from kinefilter.pipeline.methods import SCORERS
 from kinefilter.pipeline.pairs import PairedTake
@@ -94,11 +94,8 @@ def _kinds(take: Take) -> set[FailureKind]:
 
 def _near(pair: PairedTake) -> bool:
     """Return True if no limb is far from the mocap for long."""
-    skeleton = pair.take.skeleton
-    errors = pair.take.positions - pair.truth
-    errors -= errors[:, skeleton.hips].mean(axis=1, keepdims=True)
-    joints = [skeleton.index(j + side) for j in _JOINTS for side in ("Left", "Right")]
-    distances: Array = np.nan_to_num(np.linalg.norm(errors[:, joints], axis=2))
+    joints = [LIMBS.index(j + side) for j in _JOINTS for side in ("Left", "Right")]
+    distances = Accuracy(pair.take.skeleton).distances(pair.take.positions, pair.truth)
     # Axes: time, arm or leg, joint of the limb, side.
-    limbs = distances.reshape(-1, 2, 2, 2).max(axis=2)
+    limbs = np.nan_to_num(distances[:, joints]).reshape(-1, 2, 2, 2).max(axis=2)
     return bool(minimum_filter1d(limbs, _LASTING, axis=0).max() < _FAR_OFF)

@@ -51,7 +51,6 @@ _LIU_2 = {
     "bend_leg": (243, 385, 1890),
 }
 """Frames of Liu, of Zhou and of Shen. The paper rolls hands in two ways, here one."""
-
 _LIU_3 = {
     "cross_arms": (12.5, 9.8, 7.2, 7.9, 7.4),
     "bend": (13.7, 9.5, 8.4, 9.2, 8.7),

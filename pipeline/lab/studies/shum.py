@@ -60,10 +60,8 @@ _DATABASE_MOTIONS = (
     *("scratch", "punch", "kick", "swing", "dodge"),
 )
 """Examples from the paper's own motion database (table I)."""
-
 _PAPER_ERRORS = {"a": (9.59, 7.26), "b": (10.89, 7.44), "c": (12.41, 7.76)}
 """Errors of raw and reconstructed motion [cm] (table IV)."""
-
 _MOTIONS = ("cross_arms", "squat", "punch", "tai_chi", "wave")
 _FRAMES = 60  # of each take: 2 s
 _PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {

@@ -80,14 +80,10 @@ def series_of(
     x: int | Sequence[str] = 0,
     kind: Kind = "line",
 ) -> list[Series]:
-    """Return a series for each of the given columns of a table.
+    """Return a series for each entry of ``columns``, a label and a column number.
 
-    Args:
-        rows: The table.
-        columns: Numbers of the columns by the label of their series.
-        x: Number of the column with the positions along the axis (for bars, the names
-            of the groups), or those names themselves.
-        kind: How the series are drawn.
+    ``x`` is the number of the column with the positions along the axis (for bars, the
+    names of the groups), or those names themselves.
     """
 
     def numbers(column: int) -> list[float]:

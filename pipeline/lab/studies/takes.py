@@ -21,7 +21,6 @@ from .study import Options
 
 RECORDINGS = Path("../shared/data")
 """Default folder of recordings, which are not part of kinefilter."""
-
 _PEOPLE = 1000  # first seed of a study's people; also the distance between studies
 _AGAIN = 1_000_000  # added to a person's seed for another performance
 _LEARNERS = 500  # added to the seeds of people in the training data
@@ -59,7 +58,7 @@ CLASSES: dict[str, list[Setting]] = {
 """Classes of movement (Shum 2013, Table IV): (a) self-occluded and unoccluded ones;
 (b) those behind a prop that no one touches: a desk, a flip chart, a box (the chair
 stands behind the person and hides nothing); (c) those with a prop that hides the
-person. With seed 0, users of the flip chart have it on their right, as modeled."""
+person. With seed 0, all users of the flip chart use it on their right, where it is."""
 
 
 def first_person(seed: int, *, learners: bool = False) -> int:

@@ -36,15 +36,9 @@ def trace_study(
 ) -> Study:
     """Return errors of joints, and plot them through a take of a known person.
 
-    Jitter is the mean third difference [m/s^3].
-
-    Args:
-        options: Settings common to all studies.
-        title: The study's title.
-        traces: The joints and motions.
-        people: People in the training data; a quarter as many are tested.
-        sensor: One of ``SENSORS``.
-        standard: Whether to bring both motions to standard segment lengths.
+    ``people`` are in the training data, and a quarter as many are tested. With
+    ``standard``, both motions are brought to standard segment lengths first. Jitter is
+    the mean third difference [m/s^3].
     """
     rows, panels = list[Row](), list[Panel]()
     for trace in traces:

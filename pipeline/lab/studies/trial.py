@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -82,11 +82,7 @@ def simulated(
     first, new = (first_person(options.seed, learners=flag) for flag in (True, False))
     testers, progress = max(learners // share, 1), options.progress
 
-    def record(people: range, *, again: bool = False) -> list[PairedTake]:
-        return performed_by(
-            people, motions, sensor=sensor, again=again, progress=progress
-        )
-
+    record = partial(performed_by, motions=motions, sensor=sensor, progress=progress)
     trainer = trainer_of(record(range(first, first + learners)), options)
     strangers = record(range(new, new + testers))
     known = record(range(first, first + testers), again=True)
@@ -96,13 +92,9 @@ def simulated(
 def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Group]:
     """Yield each recorded person, left out of training, then new repetitions of all.
 
-    The groups are named like the simulated ones, with ``recorded`` in front. Without
-    recordings there are none.
-
-    Args:
-        options: Settings common to all studies.
-        every: One in this many clips is tested.
-        count: Maximum number of people.
+    One in ``every`` clips of at most ``count`` people is tested. The groups are named
+    like the simulated ones, with ``recorded`` in front. Without recordings there are
+    none.
     """
     people = recorded_people(options.data)[:count] if options.data else []
     left_out = people if len(people) > 1 else []
