@@ -77,10 +77,8 @@ def test_frames_are_unreliable_as_chiang_has_it() -> None:
     pair = simulate("basic", "wave", sensor="v1")
     positions, wrist = pair.take.positions.copy(), KINECT_V1.index("WristLeft")
     positions[100, wrist] += 0.5  # and back, within a frame
-    found = chiang._unreliable(
-        replace(pair, take=replace(pair.take, positions=positions)), KINECT_V1
-    )
-    before = chiang._unreliable(pair, KINECT_V1)
+    moved = replace(pair, take=replace(pair.take, positions=positions))
+    found, before = chiang._unreliable(moved), chiang._unreliable(pair)
     assert found[100]
     assert (found != before)[[*range(99), *range(104, len(found))]].sum() == 0
 
@@ -127,21 +125,21 @@ def test_budgeting_keeps_fewer_frames_than_there_are(
 
 def test_nobody_is_tested_by_those_whom_they_taught() -> None:
     new, known = trial.simulated(Options(), ["wave"], learners=2, share=2)
-    taught = {pair.clip for pair in new.school._train}
+    taught = {pair.clip for pair in new.trainer._train}
     assert len(taught) == 2
     assert not taught & {pair.clip for pair in (*new.tests, *known.tests)}
-    who = {pair.subject for pair in new.school._train}
+    who = {pair.subject for pair in new.trainer._train}
     assert not who & {pair.subject for pair in new.tests}
     assert {pair.subject for pair in known.tests} <= who
-    takes = [*new.tests, *new.school._train]
+    takes = [*new.tests, *new.trainer._train]
     for group, labels in liu._folds(takes, ["a", "b", "c"], Options()):
         (pair,), (label,) = group.tests, labels
-        assert pair.subject not in {one.subject for one in group.school._train}
+        assert pair.subject not in {one.subject for one in group.trainer._train}
         assert label == "abc"[takes.index(pair)]
 
 
 def test_frames_are_split_so_that_none_is_on_both_sides() -> None:
-    clips = trial.simulated(Options(), ["wave"], learners=2)[0].school._train
+    clips = trial.simulated(Options(), ["wave"], learners=2)[0].trainer._train
     clips = [
         replace(pair, clip=f"m01_e{k}") for k, pair in zip((7, 8), clips, strict=True)
     ]
@@ -171,8 +169,8 @@ def test_recorded_people_are_left_out_in_turn() -> None:
     assert [g.people for g in groups] == ["recorded, new"] * 2 + ["recorded, known"]
     for group in groups[:2]:
         (tested,) = {pair.subject for pair in group.tests}
-        assert tested not in {pair.subject for pair in group.school._train}
-    early = {pair.clip[-2:] for pair in groups[2].school._train}
+        assert tested not in {pair.subject for pair in group.trainer._train}
+    early = {pair.clip[-2:] for pair in groups[2].trainer._train}
     assert max(early - {"nc"}) <= "07"
     assert not list(trial.recorded(Options(), every=60))
 
@@ -189,15 +187,15 @@ def test_a_joint_is_followed_in_takes_of_both_groups(
         return moved
 
     def groups(*_: object, **__: object) -> list[trial.Group]:
-        school = trial.school_of([pair], Options())
-        return [trial.Group(who, [pair], school) for who in ("new", "known")]
+        trainer = trial.trainer_of([pair], Options())
+        return [trial.Group(who, [pair], trainer) for who in ("new", "known")]
 
-    def makers(_: trial.Group, presets: list[str]) -> list[Callable[[Take], Array]]:
+    def runners(_: trial.Group, presets: list[str]) -> list[Callable[[Take], Array]]:
         assert presets == ["a preset"]
         return [lambda take: take.positions, off]
 
     monkeypatch.setattr(traces, "simulated", groups)
-    monkeypatch.setattr(trial.Group, "makers", makers)
+    monkeypatch.setattr(trial.Group, "runners", runners)
     trace = traces.Trace("wave", "WristLeft", {"kinect": 9.0, "a preset": 3.0})
     study = traces.trace_study(Options(), "Made up", [trace], people=4, sensor="v1")
     raw, moved = study.rows
@@ -219,10 +217,10 @@ def test_cuts_of_presets_are_those_of_known_people(
             "chiang-2017": dict(zip(where, (5.0, 2.0, 9.0, 9.0), strict=True)),
         }
 
-    monkeypatch.setattr(methods, "errors_in_doubt", made)
+    monkeypatch.setattr(methods, "hidden_limb_errors", made)
     raw, chiangs = reproduce("presets", Options()).rows
     assert raw == ("raw", 7.0, 8.0, 16.0, 10.0, 0.0, None)
     assert chiangs == ("chiang-2017", 5.0, 2.0, 9.0, 9.0, 75.0, 74.7)
-    table = chiang._CHIANG_2_3.values()
-    kinect, _, theirs = np.mean([figures[0][:3] for figures in table], axis=0)
+    rows = [row for (_, which), row in chiang._CHIANG_2_3.items() if which == "all"]
+    kinect, _, theirs = np.mean([row[1:4] for row in rows], axis=0)
     assert chiangs[-1] == pytest.approx(100.0 * (1.0 - theirs / kinect), abs=0.05)

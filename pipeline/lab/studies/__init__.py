@@ -1,9 +1,10 @@
-"""What README and the papers say, measured again: a table and a plot for each study.
+"""The figures of README and of the papers, measured: one table and plot per study.
 
-A study is a function of ``Options`` and of sizes that returns a ``Study``; ``catalog``
-has them by name. Those of the papers take simulated people. Those of README's figures
-take recordings where there are some, and simulated people elsewhere; ``claims.toml``
-has what README says of them, and ``claims`` compares it with what was measured.
+A study is a function of ``Options`` and sizes that returns a ``Study``; ``catalog``
+lists them by name. Studies of the papers use simulated people. Studies of README's
+figures use recordings where there are any, and simulated people otherwise;
+``claims.toml`` lists the figures as README states them, and ``claims`` compares them
+with the measured ones.
 """
 
 from . import claims

@@ -1,10 +1,10 @@
-"""README's figures as claims, and whether the studies still find them.
+"""The figures that README and the lab's texts state, and whether they still hold.
 
-``claims.toml`` lists them: the words that a row of README's table begins with, the
-study and the row of its CSV, and for each column the figure exactly as README prints
-it; with ``where``, the text is another. A claim holds if what is measured ``is`` that
-figure, or is ``at most`` or ``at least`` that, ``within`` a tolerance that is given
-with its reason.
+``claims.toml`` lists them: ``says`` is how the row of the text's table begins, then
+come the study, the row of its CSV and, by column, the figure exactly as printed;
+``where`` names the text unless it is README. A claim holds if the measured value ``is``
+the figure, or is ``at most`` or ``at least`` that, up to a tolerance, ``within``, whose
+reason is given as ``why``.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from kinefilter.pipeline.formats import atomic_path
 
 from .output import write_table
 
-_LAST_DIGITS = 1.0  # half for rounding, half for the arithmetic of other machines
-_WHY = "rounding, and the arithmetic of other machines"
+_LAST_DIGITS = 1.0  # half for rounding, half for differences between machines
+_WHY = "rounding, and floating-point differences between machines"
 _COLUMNS = ("claim", "README", "measured", "held")
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A figure of README or the lab's texts, with what ``claims.toml`` says of it."""
+    """A figure stated in README or the lab's texts."""
 
     says: str
     figure: str
-    """As it is printed there."""
+    """The figure as printed."""
     study: str
     row: str
     """First cell of the row in the study's table."""
@@ -42,14 +42,13 @@ class Claim:
     direction: Literal["is", "at most", "at least"]
     """On which side of the figure the measured value may be."""
     within: float
-    """How far on the other side it may be, in the figure's unit."""
+    """Tolerance on the other side, in the figure's unit."""
     why: str
     """Reason for ``within``."""
     recordings: bool
-    """Whether it takes recordings to measure it."""
+    """Whether measuring it requires recordings."""
     where: str = "README.md"
-    """Which text states it; the others are ``RESULTS.md`` and ``DEPARTURES.md`` of
-    ``pipeline/lab``."""
+    """The text; else ``RESULTS.md`` or ``DEPARTURES.md`` of ``pipeline/lab``."""
 
     @property
     def name(self) -> str:
@@ -57,48 +56,48 @@ class Claim:
         return f"{self.study} / {self.row} / {self.column}"
 
     def holds(self, measured: float) -> bool:
-        """Return whether a measured value is what README says."""
-        away = measured - float(self.figure)
-        beyond = {"is": abs(away), "at most": away, "at least": -away}
-        return beyond[self.direction] <= self.within
+        """Return True if a measured value confirms the figure."""
+        excess = measured - float(self.figure)
+        excesses = {"is": abs(excess), "at most": excess, "at least": -excess}
+        return excesses[self.direction] <= self.within
 
 
 def read_claims() -> list[Claim]:
-    """Return the figures that are claimed, in their order."""
+    """Return all claims, in the order of ``claims.toml``."""
     text = resources.files(__package__).joinpath("claims.toml").read_text("utf-8")
     claims = []
     for entry in tomllib.loads(text)["claim"]:
         for column, figure in entry.pop("cells").items():
-            common = {
+            settings = {
                 "direction": "is",
                 "within": _LAST_DIGITS * last_digit(figure),
                 "why": _WHY,
                 "recordings": column.startswith("recorded"),
                 **entry,
             }
-            claims.append(Claim(figure=figure, column=column, **common))
+            claims.append(Claim(figure=figure, column=column, **settings))
     return claims
 
 
 def last_digit(figure: str) -> float:
-    """Return what a one in the last place of a printed figure stands for."""
+    """Return the value of one unit in the last place of a printed figure."""
     return 10.0 ** -len(figure.partition(".")[2])
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim and what was measured."""
+    """A claim and the measured value."""
 
     claim: Claim
     measured: float | None
-    """None: the study has no such figure."""
+    """None if the study has no such figure."""
     held: bool | None
-    """None: not judged, for the reason in ``note``."""
+    """None if not judged, for the reason in ``note``."""
     note: str = ""
 
     @property
     def words(self) -> str:
-        """The last cell of the verdict's row in a table."""
+        """Last cell of the verdict's row in a table."""
         return self.note if self.held is None else "yes" if self.held else "no"
 
     @property
@@ -109,24 +108,21 @@ class Verdict:
 
 
 def judge(folder: Path, *, recordings: bool, quick: bool = False) -> list[Verdict]:
-    """Compare every claim with the studies' tables in a folder.
+    """Compare every claim with the tables that studies wrote to a folder.
 
-    Args:
-        folder: Where ``NAME.csv`` of the studies are.
-        recordings: Whether the studies had recordings.
-        quick: Whether the studies were run with ``--quick``; then nothing is judged.
+    Without ``recordings``, claims that require them are not judged. With ``quick``,
+    none are, because the studies ran on a small part of everything.
     """
     claims = read_claims()
-    tables = {
-        name: _cells(folder / f"{name}.csv") for name in {c.study for c in claims}
-    }
+    names = {claim.study for claim in claims}
+    tables = {name: _cells(folder / f"{name}.csv") for name in names}
     verdicts = []
     for claim in claims:
         cell = tables[claim.study].get((claim.row, claim.column), "")
         measured = float(cell) if cell else None
         if claim.recordings and not recordings:
             verdict = Verdict(claim, None, None, "not measured: no recordings")
-        elif quick:  # which leaves out rows, too
+        elif quick:  # rows may be missing, too
             verdict = Verdict(claim, measured, None, "not judged: --quick")
         else:
             held = measured is not None and claim.holds(measured)
@@ -136,7 +132,7 @@ def judge(folder: Path, *, recordings: bool, quick: bool = False) -> list[Verdic
 
 
 def _cells(path: Path) -> dict[tuple[str, str], str]:
-    """Return the cells of a study's table by row and column; none without a file."""
+    """Return the cells of a study's table by row and column; none without the file."""
     if not path.is_file():
         return {}
     with path.open(encoding="utf-8", newline="") as file:
@@ -150,18 +146,18 @@ def _cells(path: Path) -> dict[tuple[str, str], str]:
 
 def write_verdicts(verdicts: Sequence[Verdict], folder: Path) -> Path:
     """Write ``claims.csv`` into a folder and return its path."""
-    rows = [
-        (*one.row, one.claim.direction, f"{one.claim.within:g}", one.claim.why)
-        for one in verdicts
-    ]
     path = folder / "claims.csv"
+    rows = [(*_COLUMNS, "direction", "within", "why")]
+    for verdict in verdicts:
+        claim = verdict.claim
+        rows.append((*verdict.row, claim.direction, f"{claim.within:g}", claim.why))
     with atomic_path(path) as temporary:
-        write_table([(*_COLUMNS, "direction", "within", "why"), *rows], temporary)
+        write_table(rows, temporary)
     return path
 
 
 def verdicts_table(verdicts: Sequence[Verdict]) -> Table:
-    """Return the verdicts for a terminal."""
+    """Return a table of the verdicts for a terminal."""
     judged = [verdict.held for verdict in verdicts if verdict.held is not None]
     title = f"{sum(judged)} of {len(judged)} claims held"
     if len(judged) < len(verdicts):

@@ -1,4 +1,4 @@
-"""What ``clean`` makes of takes with default settings."""
+"""Quality of the clips that ``clean`` produces with default settings."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kinefilter.scenes.library import MOTIONS
 from .study import Cell, Options, Panel, Series, Study
 from .takes import recorded_takes
 
-_SEED = 4000  # of the first simulated take, above all people of the database
-_DRAWN = ("feet slide, mm a frame", "jitter, share of raw")
+_SEED = 4000  # of the first simulated take, above the seeds in the database
+_PLOTTED = ("feet slide, mm a frame", "jitter, share of raw")
 _LOW_IS_WORSE = (
     "amplitude, after over before physics",
     "peak hand speed, after over before physics",
@@ -24,11 +24,11 @@ _LOW_IS_WORSE = (
 
 
 def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
-    """Clean every recorded take and a simulated one of every motion, with defaults.
+    """Clean every recorded take, and a simulated take of every motion, with defaults.
 
-    Figures are those of ``clean --json`` after physics: the mean over takes, and the
-    worst take. Shares are relative to the same take before. At most ``count`` recorded
-    and ``count`` simulated takes are cleaned.
+    Figures are those of ``clean --json`` after physics: mean over takes, and worst
+    take. Shares are relative to the same take before cleaning. At most ``count``
+    recorded and ``count`` simulated takes are cleaned.
     """
     files, motions = recorded_takes(options.data)[:count], MOTIONS[:count]
     first = _SEED + 1000 * options.seed
@@ -47,26 +47,22 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
         for name in groups["simulated"][0]
     }
     rows: list[list[Cell]] = [["takes", len(files) or None, None, len(motions), None]]
-    for name, found in figures.items():
+    for name, by_group in figures.items():
         rows.append([name])
-        for values in found.values():
+        for values in by_group.values():
             rows[-1] += _mean_and_worst(name, values)
-    ends = [f"{group}_{end}" for group in groups for end in ("mean", "worst")]
-    return Study(
-        title=f"{len(files)} recorded and {len(motions)} simulated takes, cleaned",
-        columns=("figure", *ends),
-        rows=rows,
-        panels=[_sorted_takes(name, figures[name]) for name in _DRAWN],
-        across=2,
-    )
+    title = f"{len(files)} recorded and {len(motions)} simulated takes, cleaned"
+    ends = ("mean", "worst")
+    header = ("figure", *(f"{group}_{end}" for group in groups for end in ends))
+    panels = [_sorted_takes(name, figures[name]) for name in _PLOTTED]
+    return Study(title, header, rows, panels, across=2)
 
 
 def _figures(result: CleanResult) -> dict[str, float]:
-    """Return what is measured of a take."""
     stages, trace = result.stages, result.trace
-    assert trace is not None  # there is always one with physics
+    assert trace is not None  # physics always leaves one
     raw, before, after = (stages[key] for key in ("raw", "corrected", "physics"))
-    kept = after.amplitude_kept / before.amplitude_kept
+    amplitude = after.amplitude_kept / before.amplitude_kept
     hand_speed = after.peak_hand_speed / before.peak_hand_speed
     return {
         "feet slide, mm a frame": after.skate_mm_per_frame,
@@ -76,7 +72,7 @@ def _figures(result: CleanResult) -> dict[str, float]:
         "standing soles float, mm": after.float_mm,
         "jitter, share of raw": after.jitter / raw.jitter,
         "bone-length variation": after.bone_length_cv,
-        "amplitude, after over before physics": kept,
+        "amplitude, after over before physics": amplitude,
         "peak hand speed, after over before physics": hand_speed,
         "amplitude, share of raw": after.amplitude_kept,
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
@@ -88,18 +84,18 @@ def _figures(result: CleanResult) -> dict[str, float]:
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
-    """Return a figure's mean over takes and that of the worst, None without takes."""
+    """Return a figure's mean over takes and its worst value; None without takes."""
     known = [value for value in values if np.isfinite(value)]
     if not known:
         return None, None
     return float(np.mean(known)), min(known) if name in _LOW_IS_WORSE else max(known)
 
 
-def _sorted_takes(name: str, found: dict[str, list[float]]) -> Panel:
-    """Return a panel with a figure of every take, from the smallest to the largest."""
+def _sorted_takes(name: str, by_group: dict[str, list[float]]) -> Panel:
+    """Return a panel with a figure of every take, from smallest to largest."""
     lines = [
         Series(group, np.linspace(0.0, 100.0, len(values)).tolist(), sorted(values))
-        for group, values in found.items()
+        for group, values in by_group.items()
         if values
     ]
     return Panel("share of the takes, %", name, lines)

@@ -1,4 +1,4 @@
-"""How well errors of the tracker are found: joints far off, and gross failures."""
+"""Detection of tracker errors: joints far off, and gross failures."""
 
 from __future__ import annotations
 
@@ -7,29 +7,30 @@ from scipy.ndimage import minimum_filter1d
 
 from kinefilter import read_take
 from kinefilter.characters import Take
-from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.failures import FailureKind, find_failures
+from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.evaluate import reliability_auc
 from kinefilter.pipeline.methods import SCORERS
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 
-from .study import Cell, Options, Panel, Series, Study, series_of
+from .study import Options, Panel, Row, Series, Study, series_of
 from .takes import CLASSES, clips_of, recorded_people, recorded_takes, study_takes
 
 _FAR, _VARYING = "over_10_cm", "varying_over_7_cm"
 _JOINTS = ("Elbow", "Wrist", "Knee", "Ankle")
 _FAR_OFF = 0.2  # m from the mocap
-_LASTING = 9  # frames, 0.3 s, that a joint is far off before its limb counts as lost
+_LASTING = 9  # frames, 0.3 s, for which a joint of a lost limb is far off
 
 
 def reliability(options: Options, *, takes: int = 12, movements: int = 10) -> Study:
-    """Find joints that are over 10 cm off the truth by their reliability alone.
+    """Detect joints over 10 cm from the truth by their reliability alone.
 
-    Limb joints relative to the middle of the hips, as ``evaluate`` counts them. The
-    area under the ROC curve is 1 if every joint that is far off is less reliable than
-    every other, and 0.5 by chance. Measured on ``takes`` of each class of Table IV;
-    with recordings, also on clips of the first ``movements`` with marker mocap.
+    Distances are those of limb joints relative to the middle of the hips, as in
+    ``evaluate``. The area under the ROC curve is 1 if every joint that is far off is
+    less reliable than every other joint, and 0.5 by chance. It is measured on ``takes``
+    of each class of Table IV and, with recordings, on clips of the first ``movements``
+    beside marker mocap.
     """
     pairs = {kind: study_takes(kind, options, count=takes) for kind in CLASSES}
     whole = [pair for part in pairs.values() for pair in part]
@@ -41,28 +42,26 @@ def reliability(options: Options, *, takes: int = 12, movements: int = 10) -> St
         people = over(recorded_people(options.data), "read", options.progress)
         recorded = reliability_auc(clips_of(people, movements, options))
     recorded_columns = [f"recorded_{key}" for key in (_FAR, _VARYING)]
-    rows: list[tuple[Cell, ...]] = []
-    bars = []
+    rows, bars = list[Row](), []
     for scoring in SCORERS:
         far = [area[scoring][_FAR] for area in areas]
-        bars.append(Series(scoring, [*groups], [one or 0.0 for one in far], "bars"))
+        bars.append(Series(scoring, [*groups], [area or 0.0 for area in far], "bars"))
         own = [recorded[scoring][key] if recorded else None for key in (_FAR, _VARYING)]
         rows.append((scoring, *far, areas[0][scoring][_VARYING], *own))
-    return Study(
-        title="Joints over 10 cm off, found by their reliability (area under ROC)",
-        columns=("scoring", *groups, _VARYING, *recorded_columns),
-        rows=rows,
-        panels=[Panel("class of movement", "area under the ROC curve", bars)],
-    )
+    title = "Joints over 10 cm off, detected by reliability (area under ROC)"
+    header = ("scoring", *groups, _VARYING, *recorded_columns)
+    panels = [Panel("class of movement", "area under the ROC curve", bars)]
+    return Study(title, header, rows, panels)
 
 
 def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Study:
-    """Look for gross failures in takes that have some, and in takes that have none.
+    """Count takes with a detected failure, among takes with gross failures and without.
 
-    The latter are clips with marker mocap in which no elbow, wrist, knee or ankle is
-    over 20 cm off for 0.3 s, relative to the middle of the hips. Without recordings,
-    simulated people stand in for these, and there are no other takes. At most ``count``
-    takes of a kind and ``count`` people are taken, with the first ``movements``.
+    Those without are clips beside marker mocap in which no elbow, wrist, knee or ankle
+    is over 20 cm off for 0.3 s, relative to the middle of the hips. Without recordings,
+    simulated people stand in for these clips, and there are no takes with failures. At
+    most ``count`` takes of each group and ``count`` people in their first ``movements``
+    are used.
     """
     files, progress = recorded_takes(options.data), options.progress
     failed = [file for file in files if file.stem.endswith("_failure")][:count]
@@ -78,18 +77,15 @@ def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Stu
         "punches and kicks": [bool(kinds) for kinds in alarms],
         "near the mocap": [bool(_kinds(pair.take)) for pair in clips if _near(pair)],
     }
-    rows: list[tuple[Cell, ...]] = []
-    for name, told in groups.items():
-        share = 100.0 * sum(told) / len(told) if told else None
-        rows.append((name, len(told) or None, sum(told) if told else None, share))
+    rows: list[Row] = []
+    for name, flags in groups.items():
+        share = 100.0 * sum(flags) / len(flags) if flags else None
+        rows.append((name, len(flags) or None, sum(flags) if flags else None, share))
     names = [name.replace(", ", ",\n") for name in groups]
     bars = series_of(rows, {"found": 3}, x=names, kind="bars")
-    return Study(
-        title="Takes in which a gross failure is found",
-        columns=("takes", "count", "found", "found_percent"),
-        rows=rows,
-        panels=[Panel("takes", "found, %", bars)],
-    )
+    title = "Takes with a detected gross failure"
+    header = ("takes", "count", "found", "found_percent")
+    return Study(title, header, rows, [Panel("takes", "detected, %", bars)])
 
 
 def _kinds(take: Take) -> set[FailureKind]:
@@ -97,11 +93,9 @@ def _kinds(take: Take) -> set[FailureKind]:
 
 
 def _near(pair: PairedTake) -> bool:
-    """Tell whether no limb is far from the mocap for long."""
-    index = pair.take.skeleton.index
-    apart = pair.take.positions - pair.truth
-    apart -= apart[:, pair.take.skeleton.hips].mean(axis=1, keepdims=True)
-    joints = [index(j + side) for j in _JOINTS for side in ("Left", "Right")]
-    off: Array = np.nan_to_num(np.linalg.norm(apart[:, joints], axis=2))
-    limbs = off.reshape(len(off), 2, 2, 2).max(axis=2)  # time, arm or leg, side
+    """Return True if no limb is far from the mocap for long."""
+    joints = [LIMBS.index(j + side) for j in _JOINTS for side in ("Left", "Right")]
+    distances = Accuracy(pair.take.skeleton).distances(pair.take.positions, pair.truth)
+    # Axes: time, arm or leg, joint of the limb, side.
+    limbs = np.nan_to_num(distances[:, joints]).reshape(-1, 2, 2, 2).max(axis=2)
     return bool(minimum_filter1d(limbs, _LASTING, axis=0).max() < _FAR_OFF)

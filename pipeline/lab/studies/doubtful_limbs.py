@@ -1,4 +1,4 @@
-"""Recorded people whose limbs the sensor guesses: what terms of an energy are worth."""
+"""Errors of systems on recorded people with hidden limbs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kinefilter.pipeline.workers import workers
 
 from .study import Options
 from .takes import recorded_people
-from .trial import corrects, school_of, split
+from .trial import correction, split, trainer_of
 
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
@@ -35,8 +35,8 @@ GUESSES: dict[str, Guess | None] = {
     "missing": "none",
     "seen": None,
 }
-"""What the sensor says of a limb in the middle of a clip: it drifts away by 20 cm/s,
-hangs down from the first frame on, is not told; nothing is hidden."""
+"""What the sensor reports of a limb in the middle of a clip: it drifts away at 20 cm/s,
+hangs straight down from the first frame on, is missing, or is visible after all."""
 
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
@@ -44,12 +44,12 @@ _EVERY = 20  # one in this many clips is tested
 Errors = dict[str, dict[str, float]]
 """Errors [cm] by method and situation."""
 Turn = tuple[float, float]
-"""Tilt and roll [rad] that were taken out of a motion."""
-Maker = Callable[[Take], tuple[Array, Turn]]
-"""Makes joint positions [m] of a take, and says how they were turned."""
+"""Tilt and roll [rad] by which a motion was leveled."""
+Runner = Callable[[Take], tuple[Array, Turn]]
+"""Function from a take to joint positions [m] and the turn that leveled them."""
 
 
-def errors_in_doubt(
+def hidden_limb_errors(
     options: Options,
     *,
     methods: Sequence[str] = (),
@@ -60,32 +60,30 @@ def errors_in_doubt(
     count: int,
     most: int,
 ) -> Errors:
-    """Return errors of systems and of their rivals, by situation.
+    """Return errors of systems by situation, with ``raw`` and ``none`` for comparison.
 
-    Means are over frames, joints and clips, then over people. Each of them is tested
-    with a limb of every twentieth clip hidden; what learns, learns from the others, in
-    whose takes nothing is hidden; ``known people`` teach by repetitions 1 to 7 and are
-    tested on 8 to 10. Errors are those of the hidden joints in the frames in which they
-    are hidden, of ``all joints`` of limbs in those frames, and for ``seen`` of all in
-    the whole clip. ``none`` is what ``clean --method none`` does without physics; it
-    looks ahead, and bridges gaps from both ends.
+    Means are over frames, joints and clips, then over people. Each person is tested
+    with a limb of every twentieth clip hidden, by systems trained on the others, with
+    nothing hidden. ``known people`` are in the training data with repetitions 1 to 7
+    and are tested on 8 to 10. Errors are those of the hidden joints in the frames in
+    which they are hidden; with ``all joints``, of all limb joints in those frames; for
+    ``seen``, of all limb joints in the whole clip. ``none`` is ``clean --method none``
+    without physics; it looks ahead and bridges gaps from both ends.
 
     Args:
-        options: Where the recordings are.
-        methods: Names as ``systems_of`` has them.
-        presets: Likewise.
-        whole: Measure clips as ``clean`` makes them, in the place of what correction
-            gives.
-        guesses: Which of ``GUESSES``.
+        options: Settings common to all studies.
+        methods: Methods, as for ``systems_of``.
+        presets: Presets, as for ``systems_of``.
+        whole: Measure complete clips from ``clean`` instead of the corrected joints.
+        guesses: A selection from ``GUESSES``.
         every: One in this many clips is tested.
-        count: People at most.
-        most: Clips of a person at most.
+        count: Maximum number of people.
+        most: Maximum number of clips per person.
     """
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)
     systems = systems_of(methods, presets)
-    sizes = every, most, guesses
-    run = partial(_errors_of, people, systems, whole, sizes, quiet)
+    run = partial(_errors_of, people, systems, whole, (every, most, guesses), quiet)
     with workers() as pool:
         parts = pool.map(run, [*people, None])
         found = [next(parts) for _ in options.progress("people", len(people) + 1)]
@@ -108,73 +106,68 @@ def _errors_of(
     options: Options,
     person: str | None,
 ) -> Errors:
-    """Return the errors on somebody; None: on everybody's late repetitions."""
+    """Return the errors on one person; None: on late repetitions of all people."""
     train, test = split(people, person, options)
-    test = test[:: sizes[0]][: sizes[1]]
-    school, prior = school_of(train, options), taught_by(train)
-    smoothed = _made(CleanConfig("none", physics=False), None, prior)
-    makers: dict[str, Maker] = {"raw": _raw, "none": smoothed}
+    every, most, guesses = sizes
+    trainer, prior = trainer_of(train, options), taught_by(train)
+    none = _cleaned(CleanConfig("none", physics=False), None, prior)
+    runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
-        corrector = school.corrector(system)
-        makers[system.label] = partial(_corrected, system.config, corrector)
+        corrector = trainer.corrector(system)
+        runners[system.label] = partial(_corrected, system.config, corrector)
         if whole:
-            makers[system.label] = _made(system.config, corrector, prior)
-    return {name: _means(test, maker, sizes[2]) for name, maker in makers.items()}
+            runners[system.label] = _cleaned(system.config, corrector, prior)
+    test = test[::every][:most]
+    return {name: _means(test, run, guesses) for name, run in runners.items()}
 
 
 def _raw(take: Take) -> tuple[Array, Turn]:
-    """Return a take's joints, missing ones on their last bones, unturned."""
+    """Return a take's joints, with missing ones on their last bones, not leveled."""
     return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
 
 
-def _made(
+def _cleaned(
     config: CleanConfig, corrector: Corrector | None, prior: MotionPrior
-) -> Maker:
+) -> Runner:
     cleaner = knowing(Cleaner(config, corrector=corrector), config, prior)
 
-    def cleaned(take: Take) -> tuple[Array, Turn]:
+    def run(take: Take) -> tuple[Array, Turn]:
         clip = cleaner.clean(take).clip
         return clip.positions, (clip.tilt, clip.roll)
 
-    return cleaned
+    return run
 
 
 def _corrected(
     config: CleanConfig, corrector: Corrector, take: Take
 ) -> tuple[Array, Turn]:
-    return corrects(config, corrector)(take), (0.0, 0.0)
+    return correction(config, corrector)(take), (0.0, 0.0)
 
 
 def _means(
-    clips: Sequence[PairedTake],
-    maker: Maker,
-    guesses: Collection[str] = tuple(GUESSES),
+    clips: Sequence[PairedTake], run: Runner, guesses: Collection[str] = tuple(GUESSES)
 ) -> dict[str, float]:
     """Return the errors [cm] on some clips, by situation."""
     found: dict[str, list[float]] = {}
     for k, pair in enumerate(clips):
-        span = middle(pair.take, _GAP)
+        take, skeleton = pair.take, pair.take.skeleton
+        span = middle(take, _GAP)
         if span is None:
             continue
-        accuracy = Accuracy(pair.take.skeleton)
+        accuracy = Accuracy(skeleton)
         names = HIDDEN[_LIMBS[k % len(_LIMBS)]]
         hidden = [limb in names for limb in LIMBS]
-        skeleton = pair.take.skeleton
         joints = [skeleton.index(j) for j in names if j in skeleton.joints]
         seed = zlib.crc32(pair.clip.encode())
         for where in guesses:
             guess = GUESSES[where]
-            take = pair.take
+            shown = take if guess is None else hide(take, joints, span, guess, seed)
+            positions, turn = run(shown)
+            errors = 100.0 * accuracy.distances(positions, leveled(pair.truth, *turn))
+            parts = {where: errors}
             if guess is not None:
-                take = hide(take, joints, span, guess, seed)
-            positions, turn = maker(take)
-            away = 100.0 * accuracy.distances(positions, leveled(pair.truth, *turn))
-            if guess is None:
-                found.setdefault(where, []).append(float(np.nanmean(away)))
-                continue
-            blind = away[span]
-            found.setdefault(where, []).append(float(np.nanmean(blind[:, hidden])))
-            found.setdefault(f"{where}, all joints", []).append(
-                float(np.nanmean(blind))
-            )
+                gap = errors[span]
+                parts = {where: gap[:, hidden], f"{where}, all joints": gap}
+            for name, part in parts.items():
+                found.setdefault(name, []).append(float(np.nanmean(part)))
     return {where: float(np.mean(errors)) for where, errors in found.items()}

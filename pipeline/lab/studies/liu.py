@@ -20,24 +20,25 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.workers import workers
 
-from .doubtful_limbs import errors_in_doubt
-from .study import Cell, Options, Panel, Series, Study, series_of
+from .doubtful_limbs import hidden_limb_errors
+from .study import Options, Panel, Row, Series, Study, series_of
 from .takes import first_person, recorded_people
 from .traces import Trace, trace_study
-from .trial import Group, errors, mean_cm, school_of, simulated
+from .trial import Group, errors, mean_cm, simulated, trainer_of
 
 _NEW, _KNOWN = "new people", "known people"
+_HEADER = ("new_people_cm", "known_people_cm")
 _OFFLINE = "liu-2016:adapt=false"
 
-_HARD = ("tai_chi", "bend", "cross_arms")  # the motions of table 5
+_HARD = ("tai_chi", "bend", "cross_arms")  # motions of table 5
 _SAMPLES = (5, 10, 20, 50)  # S
 _BLENDED = (1, 3, 9, 15)  # L
-_CHOSEN = (50, 9)  # S and L
+_CHOSEN = (50, 9)  # S and L in the paper
 
-_WALKING = ("march",)  # on the spot: who walks leaves the sensor's view
+_WALKING = ("march",)  # on the spot, because walking leaves the sensor's view
 _WALKING_SAMPLES, _WALKING_KEPT = 1120, 681
 _REDUNDANCIES = (0.0, 0.02, 0.1, 0.5)
-_WIDE = "clusters=16:samples=200:blended=3"  # so many samples that no model is full
+_WIDE = "clusters=16:samples=200:blended=3"  # with room for all samples
 
 _LIU_2 = {
     "tai_chi": (411, 650, 2320),
@@ -49,17 +50,16 @@ _LIU_2 = {
     "roll_hands": (306, 475, 2050),
     "bend_leg": (243, 385, 1890),
 }
-"""Frames of Liu, of Zhou and of Shen, without one of the two ways of rolling hands."""
-
+"""Frames of Liu, of Zhou and of Shen. The paper rolls hands in two ways, here one."""
 _LIU_3 = {
     "cross_arms": (12.5, 9.8, 7.2, 7.9, 7.4),
     "bend": (13.7, 9.5, 8.4, 9.2, 8.7),
     "tai_chi": (14.5, 10.2, 7.5, 8.0, 7.4),
     "wave": (12.5, 8.8, 6.5, 6.9, 6.6),
 }
-"""Errors [cm] of Kinect and of the presets in their order."""
+"""Errors [cm] of Kinect, then of ``_SYSTEMS``."""
 _SYSTEMS = ("shen-2012", "zhou-2014", _OFFLINE, "liu-2016")
-_MS = (None, None, 37.0, None, 29.0)  # a frame: full, and local processes
+_MS = (None, None, 37.0, None, 29.0)  # per frame: full and local processes
 
 _LIU_4 = {
     "cross_arms": (13.8, 8.1),
@@ -69,10 +69,10 @@ _LIU_4 = {
     "clap": (14.3, 8.5),
     "stand_idle": (7.8, 7.1),
 }
-"""Errors [cm] of randomized forests and of the paper's method; it has a T-pose where
-the library has people who stand."""
+"""Errors [cm] of randomized forests and of the paper's method. The paper has a T-pose
+in place of ``stand_idle``."""
 _FOLDS = 5
-_MOVES = 190  # clips of a recorded person, about
+_CLIPS = 190  # per recorded person, approximately
 
 _TERMS: dict[str, tuple[str, float]] = {
     "S": (":temporal=0:reliability=0", 12.0),
@@ -80,105 +80,91 @@ _TERMS: dict[str, tuple[str, float]] = {
     "S+R": (":temporal=0", 9.7),
     "S+T+R": ("", 7.9),
 }
-"""What leaves out terms, and the paper's errors [cm]."""
-
-
-_ALONE = f"{_OFFLINE}{_TERMS['S'][0]}"
+"""Settings with only these terms, and the paper's errors [cm]."""
+_OFFSETS_ALONE = f"{_OFFLINE}{_TERMS['S'][0]}"
 
 
 def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study:
-    """Drop the samples of walking that their neighbors predict (posture budgeting).
+    """Drop samples of walking that their neighbors predict (posture budgeting).
 
-    From 1120 samples, as in the paper, where 681 of them do about as well. They are
-    dropped joint by joint: the count is the mean over joints. Error is that of the
-    predicted offsets alone. Half as many people are tested as walk for the method to
-    learn; ``values`` of the thresholds are tried, from the one that drops nothing.
+    There are 1120 samples, as in the paper, where 681 of them do about as well. They
+    are dropped joint by joint: the count is the mean over joints. Errors are those of
+    the predicted offsets alone. Half as many people are tested as walk in the training
+    data; ``values`` of the thresholds are tried, from the one that drops nothing.
     """
     groups = simulated(options, _WALKING, learners=people, share=2)
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for redundancy in over(_REDUNDANCIES[:values], "budget", options.progress):
-        kept, found = _budgeted(groups, _WALKING_SAMPLES, redundancy)
+        kept, cm = _budgeted(groups, _WALKING_SAMPLES, redundancy)
         paper = None if rows else _WALKING_SAMPLES
-        rows.append((redundancy, kept, *found, paper))
+        rows.append((redundancy, kept, *cm, paper))
     label = "samples kept (paper: 681 of 1120 at about the same error)"
-    lines = series_of(rows, {_NEW: 2, _KNOWN: 3}, x=1)
-    return Study(
-        title="Posture budgeting: samples kept against error (Liu 2016, Figure 3)",
-        columns=(
-            *("redundancy", "samples_kept", "new_people_cm", "known_people_cm"),
-            "paper_samples_kept",
-        ),
-        rows=[*rows, ("paper", None, None, None, _WALKING_KEPT)],
-        panels=[Panel(label, "error, cm", lines)],
-    )
+    panels = [Panel(label, "error, cm", series_of(rows, {_NEW: 2, _KNOWN: 3}, x=1))]
+    rows.append(("paper", None, None, None, _WALKING_KEPT))
+    title = "Posture budgeting: error by samples kept (Liu 2016, Figure 3)"
+    header = ("redundancy", "samples_kept", *_HEADER, "paper_samples_kept")
+    return Study(title, header, rows, panels)
 
 
 def _budgeted(
     groups: list[Group], frames: int, redundancy: float
 ) -> tuple[float, list[float]]:
-    """Return how many samples of some frames are kept, and errors [cm] with them."""
-    sizes = f"{_WIDE}:frames={frames}:redundancy={redundancy}"
-    preset = f"{_ALONE}:{sizes}"
+    """Return the number of samples kept out of ``frames``, and the errors [cm]."""
+    preset = f"{_OFFSETS_ALONE}:{_WIDE}:frames={frames}:redundancy={redundancy}"
     (system,) = systems_of((), [preset])
-    method = cast(LocalGP, groups[0].school.corrector(system))
+    method = cast(LocalGP, groups[0].trainer.corrector(system))
     kept = float(method.counts_.sum() / len(method.joints_))
     return kept, [*errors(groups, preset).values()]
 
 
 def liu_table_2(options: Options, *, people: int = 10, motions: int = 8) -> Study:
-    """Count the frames that posture budgeting leaves of each motion's database.
+    """Count the frames that posture budgeting keeps in each motion's database.
 
-    It is given as many as the paper has for Shen's exemplars, and drops those that the
-    preset's redundancy says; errors are those of predicted offsets alone. Every motion
-    has a database of its own, though the paper's local models need none: frames are
-    then counted as in its table. A tenth as many people are tested as perform for the
-    method to learn.
+    It starts from as many frames as the paper's table has for Shen's exemplars, and
+    drops those that the preset's redundancy allows. Each motion has its own database,
+    as in the table, though the paper's local models need none. Errors are those of the
+    predicted offsets alone. A tenth as many people are tested as are in the training
+    data.
     """
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     names = [*_LIU_2][:motions]
     for name in over(names, "budget", options.progress):
-        ours, zhou, shen = _LIU_2[name]
+        liu, zhou, shen = _LIU_2[name]
         groups = simulated(options, [name], learners=people, share=10, sensor="v1")
-        kept, found = _budgeted(groups, shen, 0.01)
-        rows.append((name, shen, kept, *found, ours, zhou))
+        kept, cm = _budgeted(groups, shen, 0.01)
+        rows.append((name, shen, kept, *cm, liu, zhou))
     sums = [sum(cast(float, row[k]) for row in rows) for k in (1, 2, -2, -1)]
     bars = series_of(rows, {"kept": 2, "paper, Liu": 5, "paper, Zhou": 6}, kind="bars")
     rows.append(("all", *sums[:2], None, None, *sums[2:]))
-    return Study(
-        title="Frames in the database of each motion (Liu 2016, Table 2)",
-        columns=(
-            *("motion", "frames", "kept", "new_people_cm", "known_people_cm"),
-            *("paper_liu", "paper_zhou"),
-        ),
-        rows=rows,
-        panels=[Panel("motion", "frames", bars)],
-    )
+    title = "Frames in the database of each motion (Liu 2016, Table 2)"
+    header = ("motion", "frames", "kept", *_HEADER, "paper_liu", "paper_zhou")
+    return Study(title, header, rows, [Panel("motion", "frames", bars)])
 
 
 def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study:
-    """Compare local processes with exemplars and with full ones, motion by motion.
+    """Compare local processes with exemplars and full processes, motion by motion.
 
-    The paper says nothing of who was tested, and times whole systems: with locality and
-    without. An eighth as many people are tested as perform for the methods to learn.
-    The study ``presets`` has the same systems on recorded people and hidden limbs.
+    The paper does not say who was tested, and times whole systems, with locality and
+    without. An eighth as many people are tested as are in the training data. The study
+    ``presets`` has the same systems on recorded people and hidden limbs.
     """
     names = [*_LIU_3][:motions]
     found: dict[str, list[list[Array]]] = {}
     seconds, frames = np.zeros(len(_SYSTEMS) + 1), 0
     for group in simulated(options, names, learners=people, share=8):
-        makers = group.makers(_SYSTEMS)
+        runners = group.runners(_SYSTEMS)
         label = f"correct ({group.people})"
         for k, pair in enumerate(over(group.tests, label, options.progress)):
             parts = []
-            for n, make in enumerate(makers):
-                began = perf_counter()
-                positions = make(pair.take)
-                seconds[n] += perf_counter() - began
+            for n, run in enumerate(runners):
+                start = perf_counter()
+                positions = run(pair.take)
+                seconds[n] += perf_counter() - start
                 parts.append(group.accuracy.distances(positions, pair.truth))
             name = f"{names[k % len(names)]}, {group.people}"
             found.setdefault(name, []).append(parts)
             frames += len(pair.take)
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[Row] = [
         (name, *(mean_cm(*parts) for parts in zip(*takes, strict=True)))
         for name, takes in found.items()
     ]
@@ -191,87 +177,75 @@ def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study
     rows.append(("ms a frame, paper", *_MS))
     offline = milliseconds[_SYSTEMS.index(_OFFLINE)]
     rows.append(("times as long as offline", None, *(milliseconds / offline)))
-    who = ("kinect", "shen_2012", "zhou_2014", "liu_offline", "liu_incremental")
-    return Study(
-        title="Exemplars, full and local processes (Liu 2016, Table 3 and section 5.3)",
-        columns=("motion, people", *(f"{name}_cm" for name in who)),
-        rows=rows,
-        panels=[Panel("motion and people", "error, cm", bars)],
-    )
+    systems = ("kinect", "shen_2012", "zhou_2014", "liu_offline", "liu_incremental")
+    title = "Exemplars, full and local processes (Liu 2016, Table 3 and section 5.3)"
+    header = ("motion, people", *(f"{name}_cm" for name in systems))
+    return Study(title, header, rows, [Panel("motion and people", "error, cm", bars)])
 
 
 def liu_table_4(
     options: Options, *, people: int = 5, motions: int = 6, clips: int = 6
 ) -> Study:
-    """Correct what a tracker of depth images finds, people in five folds.
+    """Correct the output of a tracker of depth images, with people in five folds.
 
-    A forest tells body parts and mean shift finds joints in them (``forest``), as in
-    the paper; it has met none of these people, but other bodies that perform the same
-    scripts. The preset learns from the same images of the other four fifths of the
-    people. Below are ``clips`` movements of each recorded person, marker mocap before
-    the same tracker, each person left out in turn.
+    As in the paper, a forest classifies body parts and mean shift locates joints in
+    them (``forest``). It was trained on other bodies that perform the same scripts. The
+    preset is trained on the same images of the people in the other four folds. The last
+    row has ``clips`` movements of each recorded person, with the marker mocap seen by
+    the same tracker and each person left out in turn.
     """
     names, first = [*_LIU_4][:motions], first_person(options.seed, learners=True)
     acts = [(name, first + k) for k in range(people) for name in names]
-    who = recorded_people(options.data) if options.data else []
     moves: list[Pair] = []
-    for name in who:
-        every = max(_MOVES // clips, 1)
+    for name in recorded_people(options.data) if options.data else []:
+        every = max(_CLIPS // clips, 1)
         moves += [*pairs_of(Path(f"{options.data}/ui-prmd/{name}.npz"), every)][:clips]
-    look = partial(simulate, "basic", tracker="depth")
+    record = partial(simulate, "basic", tracker="depth")
     with workers() as pool:
-        jobs = [pool.submit(look, name, seed=seed) for name, seed in acts]
+        jobs = [pool.submit(record, name, seed=seed) for name, seed in acts]
         jobs += [pool.submit(paired_by, move, "depth") for move in moves]
-        takes = [job.result() for job in over(jobs, "look", options.progress)]
+        takes = [job.result() for job in over(jobs, "record", options.progress)]
     labels = [name for name, _ in acts] + ["every movement"] * len(moves)
     found: dict[str, list[list[Array]]] = {}
-    for some in (slice(len(acts)), slice(len(acts), None)):
-        for group, rows_of in _folds(takes[some], labels[some], options):
-            makers = group.makers([_OFFLINE])
-            for pair, label in zip(group.tests, rows_of, strict=True):
-                parts = [
-                    group.accuracy.distances(make(pair.take), pair.truth)
-                    for make in makers
-                ]
-                found.setdefault(label, []).append(parts)
-    rows: list[tuple[Cell, ...]] = [
-        (name, *(mean_cm(*p) for p in zip(*parts, strict=True)), *_LIU_4.get(name, ()))
-        for name, parts in found.items()
-    ]
-    rows = [(*row, None, None)[:5] for row in rows]
+    for part in (slice(len(acts)), slice(len(acts), None)):
+        for group, tested in _folds(takes[part], labels[part], options):
+            runners, distances = group.runners([_OFFLINE]), group.accuracy.distances
+            for pair, label in zip(group.tests, tested, strict=True):
+                both = [distances(run(pair.take), pair.truth) for run in runners]
+                found.setdefault(label, []).append(both)
+    rows: list[Row] = []
+    for name, parts in found.items():
+        forest, liu = (mean_cm(*part) for part in zip(*parts, strict=True))
+        rows.append((name, forest, liu, *_LIU_4.get(name, (None, None))))
     columns = {"forest": 1, "liu, offline": 2, "paper, forest": 3, "paper, Liu": 4}
     bars = series_of(rows, columns, kind="bars")
-    return Study(
-        title="A tracker of depth images, corrected (Liu 2016, Table 4)",
-        columns=("motion", "forest_cm", "liu_cm", "paper_forest_cm", "paper_liu_cm"),
-        rows=rows,
-        panels=[Panel("motion", "error, cm", bars)],
-    )
+    title = "A tracker of depth images, corrected (Liu 2016, Table 4)"
+    header = ("motion", "forest_cm", "liu_cm", "paper_forest_cm", "paper_liu_cm")
+    return Study(title, header, rows, [Panel("motion", "error, cm", bars)])
 
 
 def _folds(
     takes: Sequence[PairedTake], labels: Sequence[str], options: Options
 ) -> Iterator[tuple[Group, list[str]]]:
-    """Yield a fifth of the people, taught by the others, and what their takes show."""
+    """Yield a fifth of the people, with the others for training, and their labels."""
     people = list(dict.fromkeys(take.subject for take in takes))
     for k in range(min(_FOLDS, len(people))):
-        out = np.isin([take.subject for take in takes], people[k::_FOLDS])
-        group = Group(
-            "new", [*compress(takes, out)], school_of([*compress(takes, ~out)], options)
-        )
-        yield group, [*compress(labels, out)]
+        held_out = np.isin([take.subject for take in takes], people[k::_FOLDS])
+        trainer = trainer_of([*compress(takes, ~held_out)], options)
+        group = Group("new", [*compress(takes, held_out)], trainer)
+        yield group, [*compress(labels, held_out)]
 
 
 def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study:
-    """Vary the samples of a local model, S, and the local models blended, L.
+    """Vary the samples per local model, S, and the number of blended models, L.
 
-    The paper's figure is printed without its values; it chooses S = 50 and L = 9,
-    beyond which its error hardly falls. Error is that of the preset, but that it does
-    not learn from the takes. A quarter as many people are tested as perform for the
-    method to learn; ``values`` of S and of L are tried, from the smallest.
+    The paper's figure is printed without values; the paper chooses S = 50 and L = 9,
+    beyond which its error hardly falls. Errors are those of the preset without learning
+    from the takes. A quarter as many people are tested as are in the training data;
+    ``values`` of S and of L are tried, from the smallest.
     """
     groups = simulated(options, _HARD, learners=people)
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for samples in _SAMPLES[:values]:
         for blended in over(_BLENDED[:values], f"S = {samples}", options.progress):
             preset = f"{_OFFLINE}:samples={samples}:blended={blended}"
@@ -285,26 +259,19 @@ def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study
             lines += series_of(own, {f"S = {samples}": column}, x=1)
         label = f"L, {group} (the paper chooses S = 50, L = 9)"
         panels.append(Panel(label, "error, cm", lines, zero=False))
-    return Study(
-        title="Samples a local model, and models blended (Liu 2016, Figure 7)",
-        columns=(
-            *("samples_S", "blended_L", "new_people_cm", "known_people_cm"),
-            "paper",
-        ),
-        rows=rows,
-        panels=panels,
-        across=2,
-    )
+    title = "Samples per local model, and blended models (Liu 2016, Figure 7)"
+    header = ("samples_S", "blended_L", *_HEADER, "paper")
+    return Study(title, header, rows, panels, across=2)
 
 
 def liu_figure_8(options: Options, *, people: int = 16) -> Study:
     """Follow the left wrist of people who swing a golf club.
 
-    The paper follows the hand, which the sensor's trackers put anywhere. The last row
-    is that of predicted offsets alone. A quarter as many people are tested as perform
-    for the method to learn.
+    The paper follows the hand, which the sensor's trackers place arbitrarily. The last
+    row is that of the predicted offsets alone. A quarter as many people are tested as
+    are in the training data.
     """
-    paper = {"kinect": 12.36, _OFFLINE: 8.1, "liu-2016": 7.7, _ALONE: None}
+    paper = {"kinect": 12.36, _OFFLINE: 8.1, "liu-2016": 7.7, _OFFSETS_ALONE: None}
     trace = Trace("golf_swing", "WristLeft", paper)
     title = "The left wrist in a golf swing (Liu 2016, Figure 8)"
     return trace_study(options, title, [trace], people=people, sensor="v2")
@@ -313,12 +280,12 @@ def liu_figure_8(options: Options, *, people: int = 16) -> Study:
 def liu_table_5(
     options: Options, *, people: int = 8, count: int = 1000, clips: int = 1000
 ) -> Study:
-    """Leave out terms of the energy where the sensor is in doubt of a limb.
+    """Leave out terms of the energy where the sensor is unsure of a limb.
 
-    On simulated tai chi, bending over and crossing arms, as in the paper; half as many
-    people are tested as perform for the method to learn. On at most ``count`` recorded
-    people, of whom every twentieth clip, at most ``clips``, is tested with a limb
-    hidden. The preset is the paper's, but that it does not learn from the takes.
+    The motions are simulated tai chi, bending over and crossing arms, as in the paper;
+    half as many people are tested as are in the training data. For comparison, at most
+    ``count`` recorded people are tested with a limb hidden, on every twentieth clip and
+    at most ``clips``. The preset is the paper's, without learning from the takes.
     """
     groups = simulated(options, _HARD, learners=people, share=2)
     presets = {f"{_OFFLINE}{left_out}": name for name, (left_out, _) in _TERMS.items()}
@@ -329,9 +296,10 @@ def liu_table_5(
     for who in ("new", "known"):
         situations[f"simulated {who} people"] = {n: e[who] for n, e in found.items()}
     if options.data is not None:
-        for label, error in errors_in_doubt(
+        hidden = hidden_limb_errors(
             options, presets=[*presets], count=count, most=clips
-        ).items():
+        )
+        for label, error in hidden.items():
             for where, value in error.items():
                 row = situations.setdefault(f"recorded, {where}", {})
                 row[presets.get(label, label)] = value
@@ -340,12 +308,9 @@ def liu_table_5(
         (where, *map(row.get, names), 100.0 - 100.0 * row["S+T+R"] / row["S"])
         for where, row in situations.items()
     ]
-    drawn = [row for row in rows if str(row[0]).count(",") < 2]
+    plotted = [row for row in rows if str(row[0]).count(",") < 2]
     columns = {name: names.index(name) + 1 for name in _TERMS}
-    bars = series_of(drawn, columns, kind="bars")
-    return Study(
-        title="Terms of the energy of liu-2016 (Liu 2016, Table 5)",
-        columns=("situation", *(f"{n}_cm" for n in names), "less_than_S_percent"),
-        rows=rows,
-        panels=[Panel("terms of the energy", "error, cm", bars)],
-    )
+    bars = series_of(plotted, columns, kind="bars")
+    title = "Terms of the energy of liu-2016 (Liu 2016, Table 5)"
+    header = ("situation", *(f"{n}_cm" for n in names), "less_than_S_percent")
+    return Study(title, header, rows, [Panel("terms of the energy", "error, cm", bars)])

@@ -1,4 +1,4 @@
-"""Every correction against marker mocap, on people or repetitions not learned from."""
+"""Methods and presets against marker mocap: new people and new repetitions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
 
-from .doubtful_limbs import errors_in_doubt
-from .study import Cell, Options, Panel, Study, series_of
+from .doubtful_limbs import hidden_limb_errors
+from .study import Options, Panel, Row, Study, series_of
 from .takes import clips_of, recorded_people
 
 _METHODS = (
@@ -23,46 +23,54 @@ _METHODS = (
     *("exemplar", "full-gp", "local-gp", "clustered-gp", "learned"),
 )
 _ERRORS = ("E", "E_std", "E_var")
-_EVERY = 5  # one in this many of the clips to test on is cleaned, by every method
-_BESIDE = ("joint-offsets", "local-pca", "learned")
+_EVERY = 5  # one in this many test clips is cleaned, with every method
+_RIVALS = ("joint-offsets", "local-pca", "learned")
 _BOUND = "zhou-2014:variance=bound"
 _PRESETS_EVERY = 60  # one in this many clips
 _SITUATIONS = ("seen", "seen, known people", "drifting", "missing")
 _CUTS = {
-    "shum-2013": 31.6,  # table IV, the middle one of three classes
-    "shen-2012": 28.0,  # Liu 2016, table 3: means of its four motions
+    "shum-2013": 31.6,  # table IV, the median of its three classes
+    "shen-2012": 28.0,  # Liu 2016, table 3: mean of its four motions
     _BOUND: 44.4,
     "liu-2016": 43.4,
     "liu-2016:adapt=false": 39.8,
-    "chiang-2017": 74.7,  # table 2, all samples: means of its four exercises
+    "chiang-2017": 74.7,  # table 2, all samples: mean of its four exercises
 }
-"""How much of Kinect's error is taken off in the papers [%]."""
+"""Reduction of Kinect's error in the papers [%]."""
 _People = dict[str, dict[str, float]]
-"""Errors [cm] of a method by person and name of the error."""
+"""Errors [cm] of a method, by person and name of the error."""
 
 
 def methods_new_people(
     options: Options, *, count: int = 1000, movements: int = 10
 ) -> Study:
-    """Test every method on each person, and let it learn from all the others.
+    """Test every method on each person, trained on all the others.
 
     As ``kinefilter evaluate --train PEOPLE --ablation --mocap-database``: ``local-pca``
-    searches the mocap of the others. Errors are means over frames and joints, then over
-    people. One in five clips is tested, as each passes through the whole cleaner.
-    Without recordings, simulated people stand in. At most ``count`` people take part,
-    with the first ``movements``.
+    searches the others' mocap. Errors are means over frames and joints, then over
+    people. One in five clips is tested, through the whole cleaner. Without recordings,
+    simulated people stand in. At most ``count`` people in their first ``movements`` are
+    used.
     """
-    found = _person_by_person(options, count, movements)
-    return _study("Methods on people whom they did not learn from", found)
+    people = recorded_people(options.data)[:count]
+    quiet = replace(options, progress=silent)  # worker processes show no progress
+    run = partial(_on_person, people, movements, quiet)
+    merged: dict[str, _People] = {}
+    with workers() as pool:
+        parts = pool.map(run, people)
+        for _ in options.progress("people", len(people)):
+            for method, errors in next(parts).items():
+                merged.setdefault(method, {}).update(errors)
+    return _study("Methods on people who are not in their training data", merged)
 
 
 def methods_known_people(
     options: Options, *, count: int = 1000, movements: int = 10
 ) -> Study:
-    """Test every method on new repetitions of the people whom it learned from.
+    """Test every method on new repetitions by the people in its training data.
 
     As ``kinefilter evaluate --train PEOPLE --ablation --protocol repetitions``: methods
-    learn from repetitions 1 to 7 and are tested on 8 to 10; ``local-pca`` searches the
+    are trained on repetitions 1 to 7 and tested on 8 to 10; ``local-pca`` searches the
     built-in database. Otherwise like ``methods_new_people``.
     """
     people, progress = recorded_people(options.data)[:count], options.progress
@@ -72,30 +80,14 @@ def methods_known_people(
     figures = evaluate(
         clips, [], _METHODS, protocol="repetitions", ablation=True, progress=progress
     )
-    title = "Methods on new repetitions of the people whom they learned from"
+    title = "Methods on new repetitions by the people in their training data"
     return _study(title, _errors(figures))
-
-
-def _person_by_person(
-    options: Options, count: int, movements: int
-) -> dict[str, _People]:
-    """Return the errors of methods, tested on one person after the other."""
-    people = recorded_people(options.data)[:count]
-    quiet = replace(options, progress=silent)  # other processes show none
-    run = partial(_on_person, people, movements, quiet)
-    merged: dict[str, _People] = {}
-    with workers() as pool:
-        parts = pool.map(run, people)
-        for _ in options.progress("people", len(people)):
-            for method, errors in next(parts).items():
-                merged.setdefault(method, {}).update(errors)
-    return merged
 
 
 def _on_person(
     people: Sequence[str], movements: int, options: Options, name: str
 ) -> dict[str, _People]:
-    """Return the errors of methods on somebody; trained ones learn from the others."""
+    """Return the errors of methods on one person, trained on the others."""
     test = clips_of([name], movements, options)[::_EVERY]
     others = [other for other in people if other != name]
     train = clips_of(others, movements, options)
@@ -107,53 +99,41 @@ def _errors(figures: dict[str, Any]) -> dict[str, _People]:
 
 
 def _study(title: str, errors: dict[str, _People]) -> Study:
-    """Return errors, their change against raw, and the change on the worst person."""
-    raw = errors["raw"]
-    rows: list[tuple[Cell, ...]] = []
-    for method, found in errors.items():
-        means = [_mean(found, key) for key in _ERRORS]
-        changes = [_change(_mean(found, key), _mean(raw, key)) for key in _ERRORS]
-        worst = [
-            max(_change(found[person][key], raw[person][key]) for person in found)
-            for key in _ERRORS
-        ]
-        rows.append((method, *means, *changes, *worst))
+    """Return errors, and their changes relative to raw: means and worst person."""
+    by_method = {
+        method: np.array(
+            [[found[person][key] for key in _ERRORS] for person in errors["raw"]]
+        )
+        for method, found in errors.items()
+    }
+    raw = by_method["raw"]
+    rows: list[Row] = []
+    for method, found in by_method.items():
+        mean, worst = found.mean(axis=0), (found / raw).max(axis=0)
+        changes = [100.0 * (ratio - 1.0) for ratio in (mean / raw.mean(axis=0), worst)]
+        rows.append((method, *np.concatenate([mean, *changes]).tolist()))
     bars = series_of(rows, {"E": 1, "E_std": 2, "E_var": 3}, kind="bars")
     figures = ("cm", "change_percent", "worst_person_percent")
-    columns = [f"{key}_{figure}" for figure in figures for key in _ERRORS]
-    return Study(
-        title=f"{title}: {len(raw)} people",
-        columns=("method", *columns),
-        rows=rows,
-        panels=[Panel("method", "error, cm", bars)],
-    )
-
-
-def _mean(found: _People, key: str) -> float:
-    """Return an error's mean over people [cm]."""
-    return float(np.mean([errors[key] for errors in found.values()]))
-
-
-def _change(error: float, before: float) -> float:
-    """Return the change of an error [%]."""
-    return 100.0 * (error / before - 1.0)
+    header = ("method", *(f"{key}_{figure}" for figure in figures for key in _ERRORS))
+    panels = [Panel("method", "error, cm", bars)]
+    return Study(f"{title}: {len(raw)} people", header, rows, panels)
 
 
 def presets(options: Options, *, count: int = 1000, clips: int = 1000) -> Study:
     """Test the papers' systems beside methods, on recorded people and hidden limbs.
 
-    What is measured is the clip that ``clean`` makes: ``all_cm`` of clips with nothing
-    hidden, ``hidden_cm`` of the joints of a limb in the frames in which the sensor
-    guesses it (it drifts by 20 cm/s) or does not see it. Each person is left out in
-    turn; ``known`` are new repetitions of those who taught. The papers' cuts are those
-    of their tables, on people whom they knew. At most ``count`` people take part, with
-    ``clips`` each. The process over all samples takes a bound as its variance, in a
-    fiftieth of the time.
+    Errors are those of clips from ``clean``: ``all_cm`` with nothing hidden,
+    ``hidden_cm`` of the joints of a limb in the frames in which the sensor guesses it
+    (it drifts at 20 cm/s) or does not see it. Each person is left out of training in
+    turn; ``known`` are new repetitions by people in the training data, to whom the
+    papers' reductions refer. At most ``count`` people take part, with ``clips`` each.
+    The process over all samples uses a bound on its variance, in a fiftieth of the
+    time.
     """
     named = [_BOUND if name == "zhou-2014" else name for name in PRESETS]
-    found = errors_in_doubt(
+    found = hidden_limb_errors(
         options,
-        methods=_BESIDE,
+        methods=_RIVALS,
         presets=[*named, "liu-2016:adapt=false"],
         whole=True,
         guesses=("seen", "drifting", "missing"),
@@ -162,18 +142,15 @@ def presets(options: Options, *, count: int = 1000, clips: int = 1000) -> Study:
         most=clips,
     )
     raw = found["raw"]["seen, known people"]
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for name, errors in found.items():
         figures = [errors[where] for where in _SITUATIONS]
         cut = 100.0 * (1.0 - errors["seen, known people"] / raw)
         rows.append((name, *figures, cut, _CUTS.get(name)))
     bars = series_of(rows, {"new": 1, "known": 2, "drifting": 3}, kind="bars")
-    return Study(
-        title="The papers' systems on recorded people and hidden limbs",
-        columns=(
-            *("system", "new_all_cm", "known_all_cm", "drifting_hidden_cm"),
-            *("missing_hidden_cm", "known_cut_percent", "paper_cut_percent"),
-        ),
-        rows=rows,
-        panels=[Panel("system", "error, cm", bars)],
+    title = "The papers' systems on recorded people and hidden limbs"
+    header = (
+        *("system", "new_all_cm", "known_all_cm", "drifting_hidden_cm"),
+        *("missing_hidden_cm", "known_cut_percent", "paper_cut_percent"),
     )
+    return Study(title, header, rows, [Panel("system", "error, cm", bars)])

@@ -1,4 +1,4 @@
-"""What studies leave in a folder: tables as CSV, plots as PNG, README's pictures.
+"""Output of studies: tables as CSV, plots as PNG, and README's pictures.
 
 Only this file uses matplotlib.
 """
@@ -34,39 +34,39 @@ from .study import Cell, Panel, Series, Study
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Distinct for the color-blind, too (Okabe & Ito 2008); the paper's figures are gray.
+# Distinct for color-blind readers (Okabe & Ito 2008); the paper's figures are gray.
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _PAPER = ("#BBBBBB", "#777777")
 _WIDTH, _HEIGHT = 4.4, 3.2  # of a panel, inches
 _BARS = 0.8  # width of a group of bars, as a share of the distance between groups
 _LEGEND = 5  # entries side by side
-_LEVEL_NAMES = 6  # names of groups that fit side by side
+_LEVEL_NAMES = 6  # group names that fit side by side without rotation
 
-_SHOWN = 2.6  # s of a hidden arm
-_OTHERS = 4  # one in so many clips of others teaches what arms do
-_SIZE, _RATE = "480x270", 10.0  # of the animation: small enough to load quickly
-_TIMEOUT = 600.0  # s for a script, ten times what it needs. A guess.
+_ARM_LENGTH = 2.6  # s, of the animation of a hidden arm
+_OTHERS = 4  # one in this many clips of other people trains the prior
+_SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
+_TIMEOUT = 600.0  # s for the script, a guess: ten times what it needs
 _PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
 
 
 def check_studies_folder(folder: Path) -> None:
-    """Raise an InputError if studies cannot be written into a folder, new or not."""
+    """Raise an InputError if a folder neither exists nor can be created."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder to write to")
     if not folder.exists() and not folder.parent.is_dir():
         raise InputError(
-            f"{folder}: folder {folder.parent} does not exist; create it or write "
-            "elsewhere"
+            f"{folder}: folder {folder.parent} does not exist; create it or give "
+            "another folder"
         )
 
 
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
-    """Write ``NAME.csv`` and ``NAME.png`` into a folder, and return their paths.
+    """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
 
-    Older files are replaced once both new ones are complete.
+    Older files are replaced when both new ones are complete.
 
     Raises:
-        InputError: The folder cannot be written to, or matplotlib is not installed.
+        InputError: The folder cannot be created, or matplotlib is not installed.
     """
     check_studies_folder(folder)
     try:
@@ -82,7 +82,7 @@ def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
 
 
 def write_table(rows: Iterable[Sequence[Cell]], path: Path) -> None:
-    """Write a CSV file, numbers to six digits."""
+    """Write a CSV file, with numbers to six digits."""
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(
             [f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row]
@@ -147,12 +147,12 @@ def _draw_panel(panel: Panel, axis: Axes) -> None:
 
 
 def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> None:
-    """Draw bar number k of ``count`` in every group."""
-    places = np.arange(len(series.x), dtype=float)
+    """Draw bar number ``k`` out of ``count`` in every group."""
+    groups = np.arange(len(series.x), dtype=float)
     width = _BARS / count
-    left = places + (k - (count - 1) / 2.0) * width
-    axis.bar(left, series.y, width, color=color, label=series.label)
-    axis.set_xticks(places, [str(name) for name in series.x])
+    centers = groups + (k - (count - 1) / 2.0) * width
+    axis.bar(centers, series.y, width, color=color, label=series.label)
+    axis.set_xticks(groups, [str(name) for name in series.x])
     if len(series.x) > _LEVEL_NAMES:
         axis.tick_params("x", rotation=60.0)
         for label in axis.get_xticklabels():
@@ -162,10 +162,10 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
 def make_pictures(
     folder: Path, *, data: Path | None = None, progress: Progress = silent
 ) -> Iterator[str]:
-    """Make README's pictures in an existing folder, and yield what became of each.
+    """Make README's pictures in an existing folder, and yield a line on each result.
 
-    Animations need OpenGL, that of a hidden arm recordings too; pictures of pages need
-    viser, Chromium and a script that only a checkout has.
+    Animations need OpenGL, and that of a hidden arm also recordings; pictures of pages
+    need viser, Chromium and a script that only a checkout has.
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
@@ -194,7 +194,7 @@ def _animate(path: Path, progress: Progress) -> None:
 
 
 def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
-    """Write an animation of a recorded arm: seen, hidden and held, and hidden."""
+    """Write an animation of a recorded arm: visible, held while hidden, and hidden."""
     from matplotlib.image import imread
 
     from kinefilter.pipeline.look.options import Look
@@ -209,30 +209,27 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     ]
     others = (pair for file in people.values() for pair in read_pairs(file)[::_OTHERS])
     cleaner = knowing(Cleaner(), CleanConfig(), taught_by(others))
-    take, hidden = next(iter(join_cases(pairs, "repetitions")))
-    arm, blind = [j for j in HIDDEN["right-arm"] if j in take.skeleton.joints], take
+    take, cases = next(iter(join_cases(pairs, "repetitions")))
+    arm, hidden = [j for j in HIDDEN["right-arm"] if j in take.skeleton.joints], take
     joints = [take.skeleton.index(joint) for joint in arm]
     held = take.positions.copy()
-    for pair, start in hidden:
+    for pair, start in cases:
         span = middle(pair.take, "55%")
         assert span is not None
         rows, clip = slice(start, start + len(pair.take)), pair.take.positions
         held[rows] = simple_guesses(clip, take.skeleton, joints, span)["hold"]
-        blind = hide(
-            blind, joints, slice(start + span.start, start + span.stop), "none"
-        )
-    begin = take.time[hidden[1][1]]
+        gap = slice(start + span.start, start + span.stop)
+        hidden = hide(hidden, joints, gap, "none")
+    begin = take.time[cases[1][1]]
+    x, _, z = take.positions[0, take.skeleton.root]
+    center = np.array([x, 1.0, z])
+    position = center * (1.0 - 4.2 / np.hypot(x, z))  # on the line to the sensor
+    position[1] = 1.1
     columns = []
     with tempfile.TemporaryDirectory() as folder:
-        camera, root = (
-            Path(folder) / "camera.toml",
-            take.positions[0, take.skeleton.root],
-        )
-        there = np.array([root[0], 1.0, root[2]])  # where the sensor looks from
-        place = there * (1.0 - 4.2 / np.hypot(root[0], root[2]))
-        place[1] = 1.1
+        camera = Path(folder) / "camera.toml"
         camera.write_text(
-            f"position = {place.tolist()}\ntarget = {there.tolist()}\nfov = 36.0\n",
+            f"position = {position.tolist()}\ntarget = {center.tolist()}\nfov = 36.0\n",
             encoding="utf-8",
             newline="\n",
         )
@@ -240,10 +237,10 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
             size="200x240",
             camera=str(camera),
             start=begin,
-            to=begin + _SHOWN,
+            to=begin + _ARM_LENGTH,
             fps=_RATE,
         )
-        for k, shown in enumerate((take, replace(take, positions=held), blind)):
+        for k, shown in enumerate((take, replace(take, positions=held), hidden)):
             file, pictures = Path(folder) / f"{k}.npz", Path(folder) / str(k)
             write_clip(cleaner.clean(shown).clip, file)
             render_clips([file], pictures / "%05d.png", look, progress=progress)
@@ -255,15 +252,15 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
 
 
 def _take_pictures_of_pages(folder: Path) -> str:
-    """Run the checkout's script that pictures pages, and return what became of it."""
+    """Run the checkout's script for pictures of pages, and return its result."""
     failed = f"not made: the pictures of {_PAGES.name}"
     if not _PAGES.is_file():
-        return f"{failed} (a script that only a checkout has)"
+        return f"{failed} (the script comes only with a checkout)"
     command = [sys.executable, str(_PAGES), str(folder)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
     except subprocess.TimeoutExpired:
-        return f"{failed} (not done after {_TIMEOUT:g} s)"
+        return f"{failed} (not finished after {_TIMEOUT:g} s)"
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         return f"{failed} ({reason})"

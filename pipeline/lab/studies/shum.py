@@ -24,7 +24,7 @@ from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.scenes.library import perform, random_body
 
 from .corrected import StandardizedTake, bone_errors
-from .study import Cell, Kind, Options, Panel, Study, series_of
+from .study import Kind, Options, Panel, Row, Study, series_of
 from .takes import CLASSES, first_person, performed_by, study_takes
 
 _SHUM_1 = {
@@ -34,7 +34,7 @@ _SHUM_1 = {
     "boxing": (("punch", "kick"), 11.8, 13.7),
     "sword fighting": (("swing", "dodge"), 16.3, 13.4),
 }
-"""The database's classes: motions, and standard deviations [cm] above and below."""
+"""Classes of the database: motions, deviations [cm] of the upper and lower body."""
 _SHUM_2 = {
     "basic": (13.4, 9.24),
     "box": (12.26, 6.39),
@@ -43,7 +43,7 @@ _SHUM_2 = {
     "chair": (7.87, 11.86),
     "office": (13.23, 9.51),
 }
-"""The testing data's scenes: standard deviations [cm] above and below."""
+"""Scenes of the test data: deviations [cm] of the upper and lower body."""
 
 _HANDS, _FEET = ("HandLeft", "HandRight"), ("FootLeft", "FootRight")
 _MIDDLES = ("ElbowLeft", "ElbowRight", "KneeLeft", "KneeRight")
@@ -54,16 +54,14 @@ _SETUPS: dict[str, tuple[Sequence[str], float]] = {
     "(d) hands, feet, elbows, knees": (_HANDS + _FEET + _MIDDLES, 4.15),
     "(e) all parts": (KINECT_V1.joints, 3.90),
 }
-"""Joints that are given, and the paper's difference [cm] (table III)."""
+"""Given joints, and the paper's difference [cm] (table III)."""
 _DATABASE_MOTIONS = (
     *("walk", "run", "pick_up", "carry", "point"),
     *("scratch", "punch", "kick", "swing", "dodge"),
 )
-"""The examples of the paper's own motion database (table I)."""
-
+"""Examples from the paper's own motion database (table I)."""
 _PAPER_ERRORS = {"a": (9.59, 7.26), "b": (10.89, 7.44), "c": (12.41, 7.76)}
-"""Raw and reconstructed [cm] (table IV)."""
-
+"""Errors of raw and reconstructed motion [cm] (table IV)."""
 _MOTIONS = ("cross_arms", "squat", "punch", "tai_chi", "wave")
 _FRAMES = 60  # of each take: 2 s
 _PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {
@@ -73,56 +71,49 @@ _PARAMETERS: dict[str, tuple[int, Sequence[int]]] = {
     "steps": (20, (1, 5, 10, 20, 40)),
     "samples": (100, (5, 20, 50, 100, 200)),
 }
-"""The paper's choice (table V) and the values that are tried; the figure has a column
-of panels for each."""
-_OF_SAMPLING = ("steps", "samples")
+"""The paper's choice (table V) and the values tried; each has a column of panels."""
+_SAMPLING_ONLY = ("steps", "samples")
 
 
 def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> Study:
-    """Tell how far joints spread in classes of motion, and in the takes tested on.
+    """Measure how far joints spread in classes of motion, and in the test takes.
 
-    The standard deviation of a joint's place in a take, on the standard body, facing
-    +z, relative to the root; its mean over takes and the joints of arms and of legs.
-    The motions are those that the database is made of; the scenes are recorded by a
+    The spread is the standard deviation of a joint's position in a take, on the
+    standard body in the heading frame: its mean over takes, for the joints of the arms
+    and of the legs. The motions are those in the database; the scenes are recorded by a
     virtual Kinect.
     """
-    first, rows = first_person(options.seed), list[tuple[Cell, ...]]()
+    first, rows = first_person(options.seed), list[Row]()
+    performers = range(first, first + people)
     for name, (motions, *paper) in _SHUM_1.items():
-        pairs = performed_by(
-            range(first, first + people), motions, progress=options.progress
-        )
+        pairs = performed_by(performers, motions, progress=options.progress)
         postures = [standard_truth(pair, observed(pair)) for pair in pairs]
         rows.append(("I", name, *_deviations(pairs, postures), *paper))
-    scenes = [s for kind in CLASSES for s in study_takes(kind, options, count=takes)]
+    recorded = [p for c in CLASSES for p in study_takes(c, options, count=takes)]
     for scene, figures in _SHUM_2.items():
-        pairs = [pair for pair in scenes if pair.clip.startswith(f"{scene}_")]
+        pairs = [pair for pair in recorded if pair.clip.startswith(f"{scene}_")]
         postures = [observed(pair).standard for pair in pairs]
         if pairs:
             rows.append(("II", scene, *_deviations(pairs, postures), *figures))
-    bars = series_of(
-        [(row[1], *row[3:]) for row in rows],
-        {"upper body": 1, "lower body": 2, "paper, upper": 3, "paper, lower": 4},
-        kind="bars",
+    columns = {"upper body": 3, "lower body": 4, "paper, upper": 5, "paper, lower": 6}
+    bars = series_of(rows, columns, x=[str(row[1]) for row in rows], kind="bars")
+    title = "Spread of joints by class of motion (Shum 2013, Tables I and II)"
+    header = (
+        *("table", "class", "frames", "upper_cm", "lower_cm"),
+        *("paper_upper_cm", "paper_lower_cm"),
     )
-    return Study(
-        title="How far joints spread, class by class (Shum 2013, Tables I and II)",
-        columns=(
-            *("table", "class", "frames", "upper_cm", "lower_cm"),
-            *("paper_upper_cm", "paper_lower_cm"),
-        ),
-        rows=rows,
-        panels=[Panel("class of motion, scene", "standard deviation, cm", bars)],
-    )
+    panels = [Panel("class of motion, scene", "standard deviation, cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _deviations(
     pairs: Sequence[PairedTake], postures: Sequence[Array]
 ) -> tuple[int, float, float]:
-    """Return frames, and standard deviations [cm] of the upper and the lower body."""
+    """Return the number of frames, and upper and lower body's deviations [cm]."""
     spread, skeletons = [], [pair.take.skeleton for pair in pairs]
     for parts in (("Shoulder", "Elbow", "Wrist"), ("Knee", "Ankle", "Foot")):
         names = [part + side for part in parts for side in ("Left", "Right")]
-        # Take by take: each sensor looks down by an angle of its own.
+        # Take by take, because each sensor has its own tilt.
         variances = [
             np.ma.masked_invalid(posture[:, [*map(skeleton.index, names)]]).var(axis=0)
             for posture, skeleton in zip(postures, skeletons, strict=True)
@@ -136,10 +127,10 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
     """Reconstruct whole postures from some of their joints, given without error.
 
     The paper's figure is that of the posture of least energy in the natural posture
-    space (``difference_cm``), which moves the given joints too; the correction that is
-    shipped keeps them where they are (``joints_kept_cm``). Segment lengths are those of
-    the standard body on both sides; position and heading of the body are known in every
-    setup, as they are removed beforehand. Each of the ``motions`` is by another person.
+    space (``difference_cm``), which moves the given joints too; the shipped correction
+    keeps them where they are (``joints_kept_cm``). Both motions have the segment
+    lengths of the standard body, and the body's position and heading are removed in
+    every setup. Each of the ``motions`` is by another person.
     """
     database, first = builtin_database(KINECT_V1), first_person(options.seed)
     names = enumerate(_DATABASE_MOTIONS[:motions])
@@ -148,23 +139,21 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
     for setup, (given, paper) in _SETUPS.items():
         reliability = np.isin(KINECT_V1.joints, given).astype(float)
         errors = [
-            _reconstruction_errors(act, reliability, LocalPCA(database))
+            _errors(act, reliability, LocalPCA(database))
             for act in over(acts, f"from {len(given)} joints", options.progress)
         ]
         free, kept = (100.0 * np.concatenate(errors).mean(axis=0)).tolist()
         rows.append((setup, free, kept, paper))
     columns = {"posture space": 1, "given joints kept": 2, "paper": 3}
     bars = series_of(rows, columns, x=[setup[:3] for setup in _SETUPS], kind="bars")
-    return Study(
-        title="Postures from some of their joints (Shum 2013, Table III)",
-        columns=("joints_given", "difference_cm", "joints_kept_cm", "paper_cm"),
-        rows=rows,
-        panels=[Panel("joints given", "difference (eq. 18), cm", bars)],
-    )
+    title = "Postures from some of their joints (Shum 2013, Table III)"
+    header = ("joints_given", "difference_cm", "joints_kept_cm", "paper_cm")
+    panels = [Panel("joints given", "difference (eq. 18), cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def _standard_postures(motion: str, person: int) -> Array:
-    """Return a performance's postures on the standard body, without yaw, (T, J, 3)."""
+    """Return a performance's postures in the heading frame, shape (T, J, 3)."""
     body = random_body(KINECT_V1, np.random.default_rng(person))
     positions = perform(motion, body, seed=person).positions
     yaw = find_yaw(positions, np.ones(len(KINECT_V1)), KINECT_V1)
@@ -172,73 +161,64 @@ def _standard_postures(motion: str, person: int) -> Array:
     return Standardizer(body).standardize(positions, view)
 
 
-def _reconstruction_errors(
-    postures: Array, reliability: Array, method: LocalPCA
-) -> Array:
-    """Return eq. 18 of each frame [m], shape (T, 2).
-
-    First of the posture of least energy, then with the given joints where they were.
-    """
+def _errors(postures: Array, reliability: Array, method: LocalPCA) -> Array:
+    """Return eq. 18 [m] at least energy, and with the given joints kept, (T, 2)."""
     seen = np.where(reliability[:, None] > 0.0, postures, np.nan)
     method.start()
     free = [method.synthesize(frame, reliability)[0] for frame in seen]
     method.start()
-    kept = [
-        method.step(Observation(frame, reliability, reliability)).positions
-        for frame in seen
-    ]
-    errors = [bone_errors(np.array(m), postures, KINECT_V1) for m in (free, kept)]
+    frames = [Observation(frame, reliability, reliability) for frame in seen]
+    kept = [method.step(frame).positions for frame in frames]
+    motions = np.array([free, kept])
+    errors = [bone_errors(motion, postures, KINECT_V1) for motion in motions]
     return np.stack([error.mean(axis=1) for error in errors], axis=1)
 
 
 def shum_table_4(options: Options, *, takes: int = 12) -> Study:
     """Clean ``takes`` of each class of movement, and compare them with the truth.
 
-    As ``clean`` does it without options, in a take's own frame and with the person's
-    own lengths, as recorded and as cleaned; the truth has its own. Raw and
-    reconstructed motion are compared over the parts that raw has.
+    Takes are cleaned as by ``clean`` without options, and compared in their own frame.
+    Each motion has its own segment lengths: as recorded, as cleaned, or true. Raw and
+    reconstructed motion are compared over the segments that the raw one has.
     """
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for kind in CLASSES:
         pairs = study_takes(kind, options, count=takes)
         errors = []
         for pair in over(pairs, f"clean ({kind})", options.progress):
             configs = [CleanConfig(physics=physics) for physics in (False, True)]
-            cleaned = [clean(pair.take, config).clip.positions for config in configs]
-            motions = [pair.take.positions, *cleaned]
+            clips = [clean(pair.take, config).clip.positions for config in configs]
+            motions = [pair.take.positions, *clips]
             skeleton = pair.take.skeleton
             parts = np.array([bone_errors(m, pair.truth, skeleton) for m in motions])
             errors.append(parts[:, ~np.isnan(parts[0])])
         means = 100.0 * np.concatenate(errors, axis=1).mean(axis=1)
-        raw, still, moving = means.tolist()
-        cut = 100.0 * (1.0 - moving / raw)
+        raw, corrected, cleaned = means.tolist()
+        cut = 100.0 * (1.0 - cleaned / raw)
         seconds = sum(float(pair.take.time[-1]) for pair in pairs)
         before, after = _PAPER_ERRORS[kind]
-        ours = (seconds, raw, still, moving, cut)
+        ours = (seconds, raw, corrected, cleaned, cut)
         rows.append((f"({kind})", *ours, before, after, 100.0 * (1.0 - after / before)))
-    columns = {"raw": 2, "reconstructed": 4}
-    papers = {"paper, raw": 6, "paper, reconstructed": 7}
-    bars = series_of(rows, columns | papers, kind="bars")
-    return Study(
-        title="Takes cleaned, against the truth (Shum 2013, Table IV)",
-        columns=(
-            *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
-            *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
-        ),
-        rows=rows,
-        panels=[Panel("class of movement", "error (eq. 18), cm", bars)],
+    columns = {"raw": 2, "reconstructed": 4, "paper, raw": 6, "paper, reconstructed": 7}
+    bars = series_of(rows, columns, kind="bars")
+    title = "Errors of cleaned takes (Shum 2013, Table IV)"
+    header = (
+        *("class", "time_s", "raw_cm", "no_physics_cm", "clean_cm", "cut_percent"),
+        *("paper_raw_cm", "paper_clean_cm", "paper_cut_percent"),
     )
+    panels = [Panel("class of movement", "error (eq. 18), cm", bars)]
+    return Study(title, header, rows, panels)
 
 
 def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Study:
-    """Vary one parameter after the other, the rest as in Table V.
+    """Vary each parameter, with the others as in Table V.
 
-    The paper's search samples (``stochastic``); kinefilter's solver has no steps and no
-    samples to choose, and is a level there. Energy is that of the posture found (lower
-    is better; the paper plots a score, which rises), error is eq. 18 of that posture
-    alone, with the person's own lengths; time is that of neighbors, posture space and
-    search, the median over frames. At most ``values`` of each parameter are tried, on
-    ``motions`` takes of 2 s.
+    The paper's search samples (``stochastic``); kinefilter's ``solver`` has neither
+    steps nor samples, and is a level in their panels. Energy is that of the posture
+    found (lower is better; the paper plots a score, which rises). The error is eq. 18
+    of that posture alone, with the person's own segment lengths. Time covers neighbors,
+    posture space and search, as the median over frames. At most ``values`` of each
+    parameter are tried, on ``motions`` takes of 2 s.
     """
     first, progress = first_person(options.seed), options.progress
     takes = [
@@ -246,45 +226,43 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
         for k, motion in enumerate(_MOTIONS[:motions])
     ]
     paper = {name: choice for name, (choice, _) in _PARAMETERS.items()}
-    tried = {name: _spread(all_, values) for name, (_, all_) in _PARAMETERS.items()}
+    tried = {name: _spread(every, values) for name, (_, every) in _PARAMETERS.items()}
     databases = _databases({*tried["postures"], paper["postures"]}, progress)
 
-    def measure(search: Search, **varied: int) -> tuple[float, float, float]:
+    def measure(search: Search, **varied: int) -> list[float]:
         settings: dict[str, Any] = paper | varied
         database = databases[settings.pop("postures")]
         return _measure(LocalPCA(database, search=search, **settings), takes)
 
     solved = measure("solver")
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for name, tries in tried.items():
         for value in over(tries, name, progress):
-            sampled = measure("stochastic", **{name: value})
+            varied = {name: value}
+            sampled = measure("stochastic", **varied)
             rows.append((name, value, "stochastic", *sampled, paper[name]))
-            own = solved if name in _OF_SAMPLING else measure("solver", **{name: value})
+            own = solved if name in _SAMPLING_ONLY else measure("solver", **varied)
             rows.append((name, value, "solver", *own, paper[name]))
     figures = ("energy_m2", "error_cm", "ms")
-    labels = ("energy, m²", "error (eq. 18), cm", "ms a frame")
-    return Study(
-        title="Parameters of local PCA (Shum 2013, Table V and Figure 8)",
-        columns=("parameter", "value", "search", *figures, "paper_chosen_value"),
-        rows=rows,
-        panels=[
-            _panel(rows, name, 3 + k, label)
-            for k, label in enumerate(labels)
-            for name in _PARAMETERS
-        ],
-        across=len(_PARAMETERS),
-    )
+    labels = ("energy, m²", "error (eq. 18), cm", "ms per frame")
+    title = "Parameters of local PCA (Shum 2013, Table V and Figure 8)"
+    header = ("parameter", "value", "search", *figures, "paper_chosen_value")
+    panels = [
+        _panel(rows, name, 3 + k, label)
+        for k, label in enumerate(labels)
+        for name in _PARAMETERS
+    ]
+    return Study(title, header, rows, panels, across=len(_PARAMETERS))
 
 
 def _spread(choices: Sequence[int], count: int) -> list[int]:
-    """Return some of the choices, the first among them."""
+    """Return evenly spread choices, including the first."""
     count = min(count, len(choices))
     return [choices[k * len(choices) // count] for k in range(count)]
 
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
-    """Return the scripted postures, filtered to about each of some sizes."""
+    """Return databases of scripted postures, filtered to about the given sizes."""
     shipped = builtin_database(KINECT_V1)
     whole = _unfiltered(progress) if max(sizes) > len(shipped) else shipped
     found = {}
@@ -297,7 +275,6 @@ def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase
 
 
 def _unfiltered(progress: Progress) -> PostureDatabase:
-    """Return every posture of the scripted performances."""
     parts = scripted_postures(KINECT_V1, progress)
     labels, postures, rotations = zip(*parts, strict=True)
     return PostureDatabase(
@@ -308,35 +285,31 @@ def _unfiltered(progress: Progress) -> PostureDatabase:
     )
 
 
-def _measure(
-    method: LocalPCA, takes: Sequence[StandardizedTake]
-) -> tuple[float, float, float]:
-    """Return energy [m^2], error [cm] and time a frame [ms]."""
+def _measure(method: LocalPCA, takes: Sequence[StandardizedTake]) -> list[float]:
+    """Return energy [m^2], error [cm] and time per frame [ms]."""
     energies, seconds, errors = [], [], []
     for take in takes:
         method.start()
-        made = take.positions.copy()
-        for k in range(min(_FRAMES, len(made))):
+        postures = take.positions.copy()
+        for k in range(min(_FRAMES, len(postures))):
             start = perf_counter()
-            made[k] = method.synthesize(take.positions[k], take.reliability[k])[0]
+            postures[k] = method.synthesize(take.positions[k], take.reliability[k])[0]
             seconds.append(perf_counter() - start)
             energy = method.energy
-            found = energy.space.project(made[k].ravel())
+            found = energy.space.project(postures[k].ravel())
             energies.append(energy.constant + float(energy(found[None])[0][0]))
-        back, truth = take.undo(made)[:_FRAMES], take.pair.truth[:_FRAMES]
-        errors.append(bone_errors(back, truth, KINECT_V1))
+        positions, truth = take.undo(postures)[:_FRAMES], take.pair.truth[:_FRAMES]
+        errors.append(bone_errors(positions, truth, KINECT_V1))
     error = float(np.concatenate(errors).mean())
-    return float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))
+    return [float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))]
 
 
-def _panel(
-    rows: Sequence[tuple[Cell, ...]], name: str, column: int, label: str
-) -> Panel:
-    """Return a figure over the values of a parameter, of both searches."""
+def _panel(rows: Sequence[Row], name: str, column: int, label: str) -> Panel:
+    """Return a panel of both searches over the values of a parameter."""
     lines = []
     for search in ("stochastic", "solver"):
         own = [row for row in rows if (row[0], row[2]) == (name, search)]
-        level = search == "solver" and name in _OF_SAMPLING
+        level = search == "solver" and name in _SAMPLING_ONLY
         kind: Kind = "level" if level else "line"
         lines += series_of(own, {search: column}, x=1, kind=kind)
     return Panel(name, label, lines, log_x=True, zero=label.startswith("ms"))

@@ -1,4 +1,4 @@
-"""How long a frame takes, and the search for the nearest of a million postures."""
+"""Time per frame, and of nearest-neighbor search in a million postures."""
 
 from __future__ import annotations
 
@@ -23,40 +23,33 @@ from .study import Options, Panel, Study, series_of
 Postures = NDArray[np.float32]
 _Query = tuple[Array, Array]
 """A posture [m], shape (J, 3), and the reliabilities of its joints, shape (J,)."""
-
 _STAGES = ("reliability", "correct", "orientation", "physics", "total")
-
 _SIZES = (2_500, 10_000, 40_000, 160_000, 1_000_000)
-_PEOPLE = 78  # who perform a million postures
-_NEIGHBORS = 5  # as local PCA looks for
+_PEOPLE = 78  # they perform a million postures
+_NEIGHBORS = 5  # as for local PCA
 _MOTIONS = ("walk", "punch", "squat", "tai_chi", "lift_box", "sit")
-_FIRST = 500  # seed of the people in the queries, above those in the database
+_FIRST = 500  # first seed of people in queries, above those in the database
 _EVERY = 7  # frames between queries
-_CHECKED = 10  # one in this many queries is compared with all postures
-_REPEATS = 3  # the fastest of which counts
+_CHECKED = 10  # one in this many queries is checked against all postures
+_REPEATS = 3  # the fastest counts
 
 
 def speed(options: Options, *, rounds: int = 3) -> Study:
     """Time every stage on the sample take, frame by frame on one core.
 
-    The figures are those of ``kinefilter bench``, medians over the ``rounds``. Ratios
-    are taken within a round, in case the machine is slower a minute later. The seed
-    changes nothing: the take is always the same.
+    Figures are medians of ``kinefilter bench`` over ``rounds``. Ratios are formed
+    within a round, because a machine's speed varies from minute to minute. The take is
+    always the same, so the seed has no effect.
     """
-    found = [_figures() for _ in options.progress("time", rounds)]
-    medians = {key: float(np.median([one[key] for one in found])) for key in found[0]}
+    runs = [_figures() for _ in options.progress("time", rounds)]
+    medians = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
     rows = [*medians.items()]
     bars = series_of(rows[: len(_STAGES)], {"stages": 1}, x=_STAGES, kind="bars")
-    return Study(
-        title="Speed, frame by frame on one core",
-        columns=("what", "value"),
-        rows=rows,
-        panels=[Panel("stage", "ms a frame", bars)],
-    )
+    panels = [Panel("stage", "ms per frame", bars)]
+    return Study("Speed, frame by frame on one core", ("what", "value"), rows, panels)
 
 
 def _figures() -> dict[str, float]:
-    """Return the figures of one round by what they are."""
     timed = bench()
     stages, search, offline = timed["ms_per_frame"], timed["search"], timed["offline"]
     bare = timed["mj_step_ms_per_frame"]
@@ -76,12 +69,12 @@ def _figures() -> dict[str, float]:
 def million_postures(
     options: Options, *, values: int = 5, people: int = _PEOPLE
 ) -> Study:
-    """Look for the nearest postures of frames of simulated Kinect takes.
+    """Find the nearest postures of frames of simulated Kinect takes.
 
-    Postures are those of scripted performances by ``people``, kept on disk as when a
-    database is built; takes are of other people. ``values`` of the sizes are searched,
-    from the smallest. Every tenth answer is compared with the distances of all postures
-    in double precision.
+    The postures are those of scripted performances by ``people``, stored on disk as
+    when a database is built; the takes are of other people. ``values`` of the sizes are
+    searched, from the smallest. Every tenth answer is compared with the distances of
+    all postures in double precision.
     """
     queries = _queries(_FIRST + options.seed)
     postures = _postures(people, options.progress)
@@ -95,20 +88,17 @@ def million_postures(
         rows.append((len(part), *ours, *theirs, theirs[0] / ours[0], share))
     columns = {"boxes": 1, "boxes, 99 %": 2, "product": 3, "product, 99 %": 4}
     lines = series_of(rows, columns)
-    panel = Panel("postures", "ms a query", lines, log_x=True, log_y=True)
-    return Study(
-        title="The nearest of many postures",
-        columns=(
-            *("postures", "median_ms", "ms_of_99_percent", "product_median_ms"),
-            *("product_ms_of_99_percent", "times_faster", "exact_percent"),
-        ),
-        rows=rows,
-        panels=[panel],
+    panels = [Panel("postures", "ms per query", lines, log_x=True, log_y=True)]
+    title = "Nearest-neighbor search in many postures"
+    header = (
+        *("postures", "median_ms", "ms_of_99_percent", "product_median_ms"),
+        *("product_ms_of_99_percent", "times_faster", "exact_percent"),
     )
+    return Study(title, header, rows, panels)
 
 
 def _postures(people: int, progress: Progress) -> Postures:
-    """Return the postures of a number of people, in random order, (N, J, 3) [m]."""
+    """Return the postures [m] of some people in random order, shape (N, J, 3)."""
     spool = Spool(np.float32)
     for _, positions, _ in scripted_postures(KINECT_V1, progress, people=people):
         spool.add(positions)
@@ -118,16 +108,15 @@ def _postures(people: int, progress: Progress) -> Postures:
 
 def _queries(first: int) -> list[_Query]:
     """Return what a simulated Kinect v1 sees of people who are not in the database."""
-    found: list[_Query] = []
+    queries: list[_Query] = []
     for k, motion in enumerate(_MOTIONS):
-        pair = simulate("basic", motion, sensor="v1", seed=first + k)
-        take = StandardizedTake(pair)
-        found += list(zip(take.positions, take.reliability, strict=True))[::_EVERY]
-    return found
+        take = StandardizedTake(simulate("basic", motion, sensor="v1", seed=first + k))
+        queries += list(zip(take.positions, take.reliability, strict=True))[::_EVERY]
+    return queries
 
 
 def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
-    """Return a search of all postures: one matrix product, then the smallest."""
+    """Return a search by one matrix product with all postures, then the smallest."""
     squares = np.sum(postures**2, axis=2)
     flat = postures.reshape(len(postures), -1)
     products = np.concatenate([squares, -2.0 * flat], axis=1)
@@ -136,8 +125,8 @@ def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
         posture, reliability = query
         seen = np.where(reliability[:, None] > 0.0, posture, 0.0)
         weights = np.concatenate([reliability, (reliability[:, None] * seen).ravel()])
-        away = products @ weights.astype(np.float32)
-        return np.argpartition(away, _NEIGHBORS - 1)[:_NEIGHBORS]
+        distances = products @ weights.astype(np.float32)
+        return np.argpartition(distances, _NEIGHBORS - 1)[:_NEIGHBORS]
 
     return search
 
@@ -152,19 +141,18 @@ def _milliseconds(
             start = perf_counter()
             find(query)
             times[repeat, k] = perf_counter() - start
-    found: list[float] = np.percentile(times.min(axis=0) * 1e3, [50, 99]).tolist()
-    return found
+    return [float(ms) for ms in np.percentile(times.min(axis=0) * 1e3, [50, 99])]
 
 
 def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:
-    """Return how many of the answers are right [%], of every tenth query."""
-    right = []
+    """Return the share of exact answers [%] among every tenth query."""
+    exact = []
     for posture, reliability in queries[::_CHECKED]:
         distances = np.zeros(len(postures))
         for j in np.flatnonzero(reliability):
-            away = postures[:, j] - posture[j]
-            distances += reliability[j] * np.vecdot(away, away)
+            offsets = postures[:, j] - posture[j]
+            distances += reliability[j] * np.vecdot(offsets, offsets)
         expected = np.sort(np.partition(distances, _NEIGHBORS)[:_NEIGHBORS])
         found = index.nearest(posture, reliability, _NEIGHBORS)[1]
-        right.append(np.allclose(found, expected, rtol=1e-12, atol=1e-12))
-    return 100.0 * float(np.mean(right))
+        exact.append(np.allclose(found, expected, rtol=1e-12, atol=1e-12))
+    return 100.0 * float(np.mean(exact))

@@ -1,4 +1,4 @@
-"""What a study takes and what it returns: options in, a table and a plot out."""
+"""Input and output of a study: options in, a table and a plot out."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from rich.table import Table
 from kinefilter.pipeline.progress import Progress, silent
 
 Cell = str | int | float | None
-"""A cell of a table; None is an empty one."""
+"""A cell of a table; None if it is empty."""
+Row = tuple[Cell, ...]
 Kind = Literal["line", "bars", "level"]
 """How a series is drawn; a level is a horizontal line across the whole panel."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What every study is run with."""
+    """Settings common to all studies."""
 
     seed: int = 0
-    """Draws simulated people, performances and the sensor's errors."""
+    """Seed of simulated people, performances and sensor errors."""
     data: Path | None = None
     """Folder of recordings; None: simulated takes only."""
     progress: Progress = silent
@@ -34,7 +35,7 @@ class Series:
     """One line of a plot, or one color of bars."""
 
     label: str
-    """What the legend says; figures of the paper begin with ``paper``."""
+    """Its name in the legend; figures of the paper begin with ``paper``."""
     x: Sequence[float] | Sequence[str]
     """Positions along the axis; for bars, the names of the groups."""
     y: Sequence[float]
@@ -51,13 +52,10 @@ class Panel:
     y_label: str
     """What is measured, with its unit."""
     series: Sequence[Series]
-    """What is drawn."""
     log_x: bool = False
-    """Whether the x axis is logarithmic."""
     log_y: bool = False
-    """Whether the y axis is logarithmic."""
     zero: bool = True
-    """Whether the y axis begins at 0, unless it is logarithmic."""
+    """Whether a linear y axis begins at 0."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +63,10 @@ class Study:
     """The result of one study."""
 
     title: str
-    """What was studied, and where the paper has it."""
+    """The topic, and where the paper covers it."""
     columns: Sequence[str]
-    """Names of the columns; those of the paper's figures begin with ``paper``."""
+    """Column names; those of the paper's figures begin with ``paper``."""
     rows: Sequence[Sequence[Cell]]
-    """The table."""
     panels: Sequence[Panel]
     """The plot, row by row."""
     across: int = 1
@@ -83,10 +80,10 @@ def series_of(
     x: int | Sequence[str] = 0,
     kind: Kind = "line",
 ) -> list[Series]:
-    """Return a series for each of some columns of a table, given by label and number.
+    """Return a series for each entry of ``columns``, a label and a column number.
 
-    ``x`` is the column with the positions along the axis, names for bars; or the names
-    of the groups of bars themselves.
+    ``x`` is the number of the column with the positions along the axis (for bars, the
+    names of the groups), or those names themselves.
     """
 
     def numbers(column: int) -> list[float]:
@@ -101,13 +98,13 @@ def series_of(
 
 
 def as_table(study: Study) -> Table:
-    """Return the study's table for a terminal, numbers to four digits."""
+    """Return the study's table for a terminal, with numbers to four digits."""
     table = Table(title=study.title, title_justify="left")
     for k, column in enumerate(study.columns):
-        numbers = any(isinstance(row[k], int | float) for row in study.rows)
+        numeric = any(isinstance(row[k], int | float) for row in study.rows)
         # One word per line, so that ten columns fit into 80 characters.
         heading = column.replace("_", "\n").replace("percent", "%")
-        table.add_column(heading, justify="right" if numbers else "left")
+        table.add_column(heading, justify="right" if numeric else "left")
     for row in study.rows:
         cells = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*("" if cell is None else str(cell) for cell in cells))

@@ -1,8 +1,8 @@
-"""The takes of the studies: simulated people, and recordings where there are some.
+"""The takes of the studies: recordings where there are any, and simulated people.
 
-The simulated people have taught nothing: the built-in database draws its people from
-seeds under 10, takes that are tested on from seeds of 1000 and more, and pairs that
-methods learn from within a study from seeds 500 higher than those.
+Simulated people in tests do not occur in any training data: the built-in database draws
+its people from seeds below 10, test takes use seeds from 1000 up, and the training data
+of a study seeds that are 500 higher than those of its test takes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.lab.simulate import simulate
@@ -21,18 +20,14 @@ from kinefilter.pipeline.progress import Progress, over, silent
 from .study import Options
 
 RECORDINGS = Path("../shared/data")
-"""Where recordings are expected; they are not part of kinefilter."""
-
-MovementClass = Literal["a", "b", "c"]
-"""Classes of movement (Shum 2013, Table IV)."""
-
+"""Default folder of recordings, which are not part of kinefilter."""
 _PEOPLE = 1000  # first seed of a study's people; also the distance between studies
-_AGAIN = 1_000_000  # what is added to a person's seed for another performance
-_LEARNERS = 500  # how much higher the seeds of those are whom methods learn from
+_AGAIN = 1_000_000  # added to a person's seed for another performance
+_LEARNERS = 500  # added to the seeds of people in the training data
 
-_STAND_INS = 4  # people who are simulated in place of recorded ones
-_MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # what they do, as in rehabilitation
-_REPETITIONS = 10  # of every movement, as in the recordings
+_STAND_INS = 4  # simulated people in place of recorded ones
+_MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # theirs, as in rehabilitation
+_REPETITIONS = 10  # of each movement, as in the recordings
 
 Setting = tuple[str, str, str]
 """What is recorded: one of SCENES, one of MOTIONS and one of SENSORS."""
@@ -42,7 +37,7 @@ def _settings(listed: str) -> list[Setting]:
     return [(s, m, v) for s, m, v in (one.split("/") for one in listed.split())]
 
 
-CLASSES: dict[MovementClass, list[Setting]] = {
+CLASSES: dict[str, list[Setting]] = {
     "a": _settings(
         "basic/cross_arms/v1 basic/cross_arms/v2 basic/turn/v1 basic/turn/v2 "
         "basic/squat/v1 basic/squat/v2 basic/tai_chi/v1 basic/tai_chi/v2 "
@@ -60,23 +55,22 @@ CLASSES: dict[MovementClass, list[Setting]] = {
         "office/office/v1 office/office/v2 office/office/v2"
     ),
 }
-"""(a) self-occluded and un-occluded movements; (b) movements behind a thing that nobody
-touches: a desk, a flip chart, a box (the chair stands behind the person and hides
-nothing); (c) movements with a thing that hides the person. With seed 0, whoever uses
-the flip chart stands beside it with the right hand, as the chart does."""
+"""Classes of movement (Shum 2013, Table IV): (a) self-occluded and unoccluded ones;
+(b) those behind a prop that no one touches: a desk, a flip chart, a box (the chair
+stands behind the person and hides nothing); (c) those with a prop that hides the
+person. With seed 0, all users of the flip chart use it on their right, where it is."""
 
 
 def first_person(seed: int, *, learners: bool = False) -> int:
-    """Return the seed of a study's first person, or of the first to learn from."""
+    """Return the seed of a study's first test person, or of its first learner."""
     return _PEOPLE * (1 + seed) + (_LEARNERS if learners else 0)
 
 
-def study_takes(
-    kind: MovementClass, options: Options, *, count: int = 12
-) -> list[PairedTake]:
-    """Return takes of a class, each of another person, and their truth.
+def study_takes(kind: str, options: Options, *, count: int = 12) -> list[PairedTake]:
+    """Return takes of a class with their ground truth, each of a different person.
 
-    The proportions are the person's own. Fewer than 12 takes are spread over the class.
+    The truth has the person's own proportions. Fewer than 12 takes are spread evenly
+    over the class.
     """
     settings = CLASSES[kind]
     first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
@@ -95,7 +89,7 @@ def performed_by(
     again: bool = False,
     progress: Progress = silent,
 ) -> list[PairedTake]:
-    """Return each motion by each person on a bare floor; ``again``: performed anew."""
+    """Return each person's take of each motion on a bare floor; ``again``: a repeat."""
     acts = [(person, motion) for person in people for motion in motions]
     return [
         _recorded(("basic", motion, sensor), person + _AGAIN * again, person)
@@ -110,20 +104,20 @@ def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
 
 
 def recordings_folder(data: Path | None) -> Path | None:
-    """Return the folder that was asked for, else the usual one, or None without any.
+    """Return the given folder, or the default one; None if that does not exist.
 
     Raises:
-        InputError: The folder that was asked for does not exist.
+        InputError: The given folder does not exist.
     """
     if data is None:
         return RECORDINGS if RECORDINGS.is_dir() else None
     if not data.is_dir():
-        raise InputError(f"{data}: no such folder; give the folder of the recordings")
+        raise InputError(f"{data}: folder not found; give the folder of the recordings")
     return data
 
 
 def recorded_takes(data: Path | None) -> list[Path]:
-    """Return the recorded takes, in order; none without recordings."""
+    """Return the files of the recorded takes, sorted; none without recordings."""
     if data is None:
         return []
     folder = data / "takes"
@@ -131,19 +125,19 @@ def recorded_takes(data: Path | None) -> list[Path]:
 
 
 def recorded_people(data: Path | None) -> list[str]:
-    """Return who was recorded together with marker mocap, or their stand-ins."""
+    """Return the names of the people recorded with marker mocap, or of stand-ins."""
     if data is None:
         return [f"simulated {k + 1}" for k in range(_STAND_INS)]
-    found = sorted(path.stem for path in (data / "ui-prmd").glob("s*.npz"))
-    if not found:
+    names = sorted(path.stem for path in (data / "ui-prmd").glob("s*.npz"))
+    if not names:
         raise InputError(f"{data}: no ui-prmd/s*.npz in this folder of recordings")
-    return found
+    return names
 
 
 def clips_of(
     people: Iterable[str], movements: int, options: Options
 ) -> list[PairedTake]:
-    """Return the clips of some of ``recorded_people``, of the first movements."""
+    """Return the clips of some ``recorded_people`` in their first movements."""
     clips: list[PairedTake] = []
     for name in people:
         if options.data is None:
@@ -161,5 +155,5 @@ def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTak
     for n in range(len(_MOVEMENTS[:movements]) * _REPETITIONS):
         m, e = divmod(n, _REPETITIONS)
         pair = simulate("basic", _MOVEMENTS[m], seed=person + 100 * n, person=person)
-        clip = f"m{m + 1:02d}_s{k + 1:02d}_e{e + 1:02d}"  # as the recorded ones
+        clip = f"m{m + 1:02d}_s{k + 1:02d}_e{e + 1:02d}"  # named like recorded clips
         yield replace(pair, subject=name, clip=clip)

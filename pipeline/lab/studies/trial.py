@@ -1,14 +1,14 @@
-"""Who teaches the papers' systems, and on whom they are tested."""
+"""Training and test data of the papers' systems."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -22,52 +22,45 @@ from kinefilter.pipeline.pairs import PairedTake
 from .study import Options
 from .takes import clips_of, first_person, performed_by, recorded_people
 
-_LEARN_EVERY = 4  # one in this many recorded clips teaches: presets draw a part anyway
-Errors = dict[str, float]
-"""Mean errors [cm] by who was tested."""
+_TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them anyway
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Takes that systems are tested on, and who teaches them."""
+    """Takes that systems are tested on, with the systems' training data."""
 
     people: str
-    """Who they are: ``new`` or ``known`` to the systems."""
+    """Whether the people are ``new`` to the systems or ``known``."""
     tests: list[PairedTake]
-    school: School
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The joints of the takes."""
-        return self.tests[0].take.skeleton
+    trainer: School
 
     @cached_property
     def accuracy(self) -> Accuracy:
-        """How far motions of the skeleton are from the truth."""
-        return Accuracy(self.skeleton)
+        """Measures distances of the takes' motions from the truth."""
+        return Accuracy(self.tests[0].take.skeleton)
 
-    def makers(self, presets: Sequence[str]) -> list[Callable[[Take], Array]]:
-        """Return what makes joint positions [m] of takes: presets, and first none."""
-        found: list[Callable[[Take], Array]] = [_raw]
+    def runners(self, presets: Sequence[str]) -> list[Callable[[Take], Array]]:
+        """Return functions from a take to joint positions [m].
+
+        The first returns the raw positions, the others are those of the presets.
+        """
+        runners: list[Callable[[Take], Array]] = [lambda take: take.positions]
         for system in systems_of((), presets):
-            found.append(corrects(system.config, self.school.corrector(system)))
-        return found
+            runners.append(correction(system.config, self.trainer.corrector(system)))
+        return runners
 
     def error(self, preset: str | None) -> list[Array]:
-        """Return a preset's distances of limb joints [m] (Liu eq. 23-25) in each take.
+        """Return distances of limb joints [m] (Liu eq. 23-25) for each take.
 
-        Relative to the middle of the hips, with the person's own segment lengths.
+        They are relative to the middle of the hips, at the person's own segment
+        lengths. Without a preset, they are those of the raw take.
         """
-        make = self.makers([preset] if preset else [])[-1]
-        return [self.accuracy.distances(make(p.take), p.truth) for p in self.tests]
+        run = self.runners([preset] if preset else [])[-1]
+        return [self.accuracy.distances(run(p.take), p.truth) for p in self.tests]
 
 
-def _raw(take: Take) -> Array:
-    return take.positions
-
-
-def corrects(config: CleanConfig, corrector: Corrector) -> Callable[[Take], Array]:
-    """Return what makes of a take the joint positions [m] after correction."""
+def correction(config: CleanConfig, corrector: Corrector) -> Callable[[Take], Array]:
+    """Return a function from a take to the joint positions [m] after correction."""
     cleaner = Cleaner(config, corrector=corrector).until("correct")
     return lambda take: cleaner.whole(take).positions
 
@@ -80,66 +73,62 @@ def simulated(
     share: int = 4,
     sensor: str = "v2",
 ) -> list[Group]:
-    """Return people who perform motions, one group new to the systems and one known.
+    """Return simulated people, in a group new to the systems and a known one.
 
-    The known perform the motions again. Of each group there is one for every ``share``
-    learners. The papers say nothing of people who were held back.
+    Known people are in the training data, and perform the motions again for the test.
+    Each group has one person per ``share`` learners. The papers do not mention people
+    who were held out.
     """
-    first, new = (first_person(options.seed, learners=who) for who in (True, False))
+    first, new = (first_person(options.seed, learners=flag) for flag in (True, False))
     testers, progress = max(learners // share, 1), options.progress
 
-    def record(who: range, *, again: bool = False) -> list[PairedTake]:
-        return performed_by(who, motions, sensor=sensor, again=again, progress=progress)
-
-    school = school_of(record(range(first, first + learners)), options)
+    record = partial(performed_by, motions=motions, sensor=sensor, progress=progress)
+    trainer = trainer_of(record(range(first, first + learners)), options)
     strangers = record(range(new, new + testers))
     known = record(range(first, first + testers), again=True)
-    return [Group("new", strangers, school), Group("known", known, school)]
+    return [Group("new", strangers, trainer), Group("known", known, trainer)]
 
 
 def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Group]:
-    """Yield recorded people, each left out in turn, then new repetitions of all.
+    """Yield each recorded person, left out of training, then new repetitions of all.
 
-    Their names are those of the simulated groups, after ``recorded``. Without
-    recordings there are none.
-
-    Args:
-        options: Where the recordings are.
-        every: One in this many clips is tested.
-        count: People at most.
+    One in ``every`` clips of at most ``count`` people is tested. The groups are named
+    like the simulated ones, with ``recorded`` in front. Without recordings there are
+    none.
     """
     people = recorded_people(options.data)[:count] if options.data else []
     left_out = people if len(people) > 1 else []
     for person in [*left_out, None] if people else []:
         train, test = split(people, person, options)
         who = "new" if person else "known"
-        yield Group(f"recorded, {who}", test[::every], school_of(train, options))
+        yield Group(f"recorded, {who}", test[::every], trainer_of(train, options))
 
 
 def split(
     people: Sequence[str], person: str | None, options: Options
 ) -> tuple[list[PairedTake], list[PairedTake]]:
-    """Return clips that teach, every fourth of them, and clips to test on.
+    """Return training clips, every fourth of those available, and test clips.
 
-    Those of the others and of one person; for nobody, of all people the repetitions 1
-    to 7 and 8 to 10.
+    The test clips are those of one person, and the training clips those of the others.
+    If ``person`` is None, training uses repetitions 1 to 7 of all people, and testing 8
+    to 10.
     """
     clips = clips_of(people, 10, options)
 
-    def tested(pair: PairedTake) -> bool:
+    def is_test(pair: PairedTake) -> bool:
         if person is None:
             return repetition(pair) > LEARNED_REPETITIONS
         return pair.subject == person
 
-    test = [clip for clip in clips if tested(clip)]
-    return [clip for clip in clips if not tested(clip)][::_LEARN_EVERY], test
+    test = [clip for clip in clips if is_test(clip)]
+    return [clip for clip in clips if not is_test(clip)][::_TRAIN_EVERY], test
 
 
-def school_of(lessons: list[PairedTake], options: Options) -> School:
-    """Return what teaches systems by clips, with the built-in database."""
-    skeleton = lessons[0].take.skeleton
+def trainer_of(clips: list[PairedTake], options: Options) -> School:
+    """Return an object that trains systems on clips, with the built-in database."""
+    skeleton = clips[0].take.skeleton
     return School(
-        lessons,
+        clips,
         skeleton,
         people=False,
         database=builtin_database(skeleton),
@@ -147,14 +136,11 @@ def school_of(lessons: list[PairedTake], options: Options) -> School:
     )
 
 
-def errors(groups: Sequence[Group], preset: str | None) -> Errors:
-    """Return a preset's mean error [cm] by who was tested; None: that of the takes."""
-    found: dict[str, list[Array]] = {}
-    for group in groups:
-        found.setdefault(group.people, []).extend(group.error(preset))
-    return {people: mean_cm(*parts) for people, parts in found.items()}
+def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
+    """Return a preset's mean error [cm] by test group; None: that of raw takes."""
+    return {group.people: mean_cm(*group.error(preset)) for group in groups}
 
 
 def mean_cm(*parts: Array) -> float:
-    """Return the mean of distances [m] that are known [cm]."""
+    """Return the mean of distances [m], ignoring NaN, in cm."""
     return float(100.0 * np.nanmean(np.concatenate(parts)))
