@@ -33,9 +33,9 @@ def _squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         low = _arms_for_balance(puppet, base, rng, style).leaning(
             drop=depth * puppet.leg,
             back=0.4 * depth * puppet.leg,
-            pelvis=(0.0, 0.6 * depth, 0.0),
-            spine=(rng.uniform(0.5, 1.1) * depth, 0.0, 0.0),
-            head=(-0.5 * depth, 0.0, 0.0),
+            pelvis=0.6 * depth,
+            spine=rng.uniform(0.5, 1.1) * depth,
+            head=-0.5 * depth,
         )
         low = low.with_foot(BOTH, knee_out=out)
         score.to(rng.uniform(0.9, 1.6), low).hold(rng.uniform(0.05, 0.4))
@@ -49,9 +49,9 @@ def _stoop(puppet: Puppet, pose: Pose, rng: Rng, depth: float) -> Pose:
     return pose.leaning(
         drop=0.45 * knees * puppet.leg,
         back=(0.09 * depth + 0.08 * knees) * puppet.scale,
-        pelvis=(0.0, depth * (1.0 - 0.5 * knees) * rng.uniform(0.7, 1.0), 0.0),
-        spine=(depth * (1.0 - 0.4 * knees) * rng.uniform(0.5, 0.9), 0.0, 0.0),
-        head=(0.1 * depth, 0.0, 0.0),
+        pelvis=depth * (1.0 - 0.5 * knees) * rng.uniform(0.7, 1.0),
+        spine=depth * (1.0 - 0.4 * knees) * rng.uniform(0.5, 0.9),
+        head=0.1 * depth,
     )
 
 
@@ -75,9 +75,7 @@ def _bend(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             )
         elif kind == "back":
             lean = rng.uniform(0.15, 0.4)
-            pose = pose.leaning(
-                back=-0.1 * lean, pelvis=(0, -0.3 * lean, 0), spine=(-lean, 0.0, 0.0)
-            )
+            pose = pose.leaning(back=-0.1 * lean, pelvis=-0.3 * lean, spine=-lean)
         else:
             turn = way * rng.uniform(0.3, 0.8)
             pose = pose.leaning(
@@ -94,11 +92,11 @@ def _pick_up(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         low = _stoop(puppet, base, rng, rng.uniform(0.9, 1.15))
-        hold = base.leaning(spine=(-0.05, 0.0, 0.0))
+        hold = base.leaning(spine=-0.05)
         half, one = rng.uniform(0.1, 0.2), int(rng.integers(2))
         sides = [LEFT, RIGHT] if rng.random() < 0.7 else [one]
         height = rng.uniform(0.15, 0.45) * puppet.scale
-        ready = low.leaning(drop=-0.03, spine=(-0.1, 0.0, 0.0))
+        ready = low.leaning(drop=-0.03, spine=-0.1)
         carry = (half, rng.uniform(-0.4, -0.2), rng.uniform(0.26, 0.36))
         for side in sides:
             x = (1.0 - 2.0 * side) * half * puppet.scale
@@ -122,15 +120,13 @@ def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.3)
     while score.duration < length:
         lean, folded = rng.uniform(0.5, 0.9), rng.random() < 0.3
-        sitting = base.leaning(
-            drop=drop, back=back, pelvis=(0, -0.08, 0), spine=(0.12, 0, 0)
-        )
+        sitting = base.leaning(drop=drop, back=back, pelvis=-0.08, spine=0.12)
         way = base.leaning(
             drop=0.45 * drop,
             back=0.62 * back,
-            pelvis=(0.0, 0.55 * lean, 0.0),
-            spine=(0.6 * lean, 0.0, 0.0),
-            head=(-0.3 * lean, 0.0, 0.0),
+            pelvis=0.55 * lean,
+            spine=0.6 * lean,
+            head=-0.3 * lean,
         )
         for side in (LEFT, RIGHT):
             lap = (rng.uniform(0.1, 0.16), rng.uniform(-0.36, -0.3), 0.32)
@@ -200,7 +196,7 @@ def _raise_leg(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         }[kind]
         tall = _over(base, 1 - side)
         if kind == "back":
-            tall = tall.leaning(pelvis=(0, 0.2 * top, 0))
+            tall = tall.leaning(pelvis=0.2 * top)
         if kind == "side":
             tall = tall.leaning(pelvis=(0, 0, -0.15 * top * way))
         up = puppet.swing_leg(tall, side, flexion, abduction, knee)
@@ -234,14 +230,14 @@ def _lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
                 drop=depth * puppet.leg,
                 side=0.72 * by[0] * puppet.leg,
                 back=0.12 * puppet.scale,
-                pelvis=(0.0, 0.3, 0.0),
-                spine=(0.35, 0.0, 0.0),
+                pelvis=0.3,
+                spine=0.35,
             ).with_foot(side, yaw=way * 0.25)
         else:
             low = landed.leaning(
                 drop=(0.1 + depth) * puppet.leg,
                 back=-0.55 * by[2] * puppet.leg,
-                spine=(rng.uniform(0.0, 0.3), 0.0, 0.0),
+                spine=rng.uniform(0.0, 0.3),
             ).with_foot(1 - side, heel=rng.uniform(0.7, 0.95))
         score.to(rng.uniform(0.4, 0.6), air).to(rng.uniform(0.6, 0.9), low)
         score.hold(rng.uniform(0.1, 0.5)).to(rng.uniform(0.6, 0.8), air)

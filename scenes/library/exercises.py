@@ -57,9 +57,9 @@ def _deep_squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         low = _moved(puppet, ready, hold, fault).leaning(
             drop=depth * puppet.leg,
             back=rng.uniform(0.3, 0.55) * depth * puppet.leg,
-            pelvis=(0.0, 0.6 * lean, 0.0),
-            spine=(0.4 * lean, 0.0, 0.0),
-            head=(-0.3 * lean, 0.0, 0.0),
+            pelvis=0.6 * lean,
+            spine=0.4 * lean,
+            head=-0.3 * lean,
         )
         low = low.with_foot(BOTH, knee_out=fault.knees_out)
         _repeat(score, rng, low, ready)
@@ -83,7 +83,7 @@ def _hurdle_step(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         lifting = rng.uniform(1.2, 1.9) * (0.4 + 0.6 * fault.short)
         tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         looking_down = rng.uniform(0.0, 0.6)
-        tall = tall.leaning(head=(looking_down, 0.0, 0.0))
+        tall = tall.leaning(head=looking_down)
         up = puppet.swing_leg(
             tall,
             side,
@@ -162,9 +162,9 @@ def _side_lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             drop=depth * puppet.leg,
             side=way * rng.uniform(0.2, 0.7) * half * min(1.0, 2.5 * depth),
             back=0.35 * depth * puppet.leg,
-            pelvis=(0.0, 0.6 * lean, 0.0),
-            spine=(0.5 * lean, 0.0, 0.0),
-            head=(-0.3 * lean, 0.0, 0.0),
+            pelvis=0.6 * lean,
+            spine=0.5 * lean,
+            head=-0.3 * lean,
         )
         low = low.with_foot(side, knee_out=rng.uniform(0.1, 0.6) + fault.knees_out)
         _repeat(score, rng, low, wide)
@@ -190,12 +190,12 @@ def _sit_to_stand(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         way = _moved(puppet, ready, hold, fault).leaning(
             drop=0.6 * drop,
             back=0.68 * back,
-            pelvis=(0.0, 0.5 * lean, 0.0),
-            spine=(0.5 * lean, 0.0, 0.0),
-            head=(-0.3 * lean, 0.0, 0.0),
+            pelvis=0.5 * lean,
+            spine=0.5 * lean,
+            head=-0.3 * lean,
         )
         seated = _moved(puppet, ready, hold, fault, 0.5).leaning(
-            drop=drop, back=back, pelvis=(0, rng.uniform(-0.2, 0.3), 0)
+            drop=drop, back=back, pelvis=rng.uniform(-0.2, 0.3)
         )
         for side in (LEFT, RIGHT):
             way = way.with_foot(side, knee_out=fault.knees_out)
@@ -214,8 +214,8 @@ def _leg_raise(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         tall = tall.leaning(
             drop=rng.uniform(0.0, 0.04) * puppet.leg,
-            pelvis=(0.0, slump, 0.0),
-            spine=(-0.6 * slump, 0.0, 0.0),
+            pelvis=slump,
+            spine=-0.6 * slump,
         )
         knee = rng.uniform(0.03, 0.25) if rng.random() < 0.7 else rng.uniform(0.3, 1.0)
         up = puppet.swing_leg(tall, side, top, rng.uniform(-0.08, 0.12), knee)
@@ -303,7 +303,7 @@ EXERCISES: dict[str, Script] = {
 def _breathed(pose: Pose, rng: Rng, depth: float) -> Pose:
     """Return the pose with the chest raised or sunk, and a little of chance."""
     lean, turn = rng.normal(0.0, 0.04, 2)
-    return pose.leaning(spine=(-0.12 * depth, lean, turn), head=(-0.1 * depth, 0, 0))
+    return pose.leaning(spine=(-0.12 * depth, lean, turn), head=-0.1 * depth)
 
 
 def _deep_breathing(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:

@@ -73,7 +73,7 @@ def _scratch(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         if rng.random() < 0.55:
             goal = np.array([rng.uniform(0.09, 0.15), rng.uniform(0.17, 0.32), 0.03])
             pole, rub = (1.0, rng.uniform(-0.6, 0.3), 0.6), (0.02, 0.03, 0.02)
-            pose = pose.leaning(head=(0.15, 0.0, 0.0))
+            pose = pose.leaning(head=0.15)
         else:
             goal = np.array([-0.17, rng.uniform(-0.32, -0.12), 0.2])
             pole, rub = (0.7, -1.0, 0.2), (0.01, 0.04, 0.01)
@@ -174,7 +174,7 @@ def _raise_arms(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     bend = rng.uniform(0.03, 0.25)
     while score.duration < length:
         top = rng.uniform(0.5, 0.9) if behind else rng.uniform(1.3, 2.8)
-        pose = _turned(base, rng, 0.6).leaning(spine=(0.1 if behind else -0.05, 0, 0))
+        pose = _turned(base, rng, 0.6).leaning(spine=0.1 if behind else -0.05)
         low = base
         for side in sides:
             turn = -0.45 * max(top - 1.0, 0.0)
@@ -209,7 +209,7 @@ def _reach_up(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         sides, high = _either(rng), rng.uniform(0.4, 0.66)
         lean = 0.0 if len(sides) == 2 else (2.0 * sides[0] - 1.0) * 0.12
         pose = _turned(base, rng).leaning(
-            drop=-0.05, spine=(-0.08, lean, 0.0), head=(-0.35, 0.0, 0.0)
+            drop=-0.05, spine=(-0.08, lean, 0.0), head=-0.35
         )
         for side in sides:
             goal = (rng.uniform(0.05, 0.3), high, rng.uniform(0.05, 0.45))

@@ -17,6 +17,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
+Angles = float | tuple[float, float, float]
 LEFT, RIGHT, BOTH = 0, 1, slice(None)
 """Sides of a pose."""
 
@@ -66,11 +67,20 @@ class Pose:
         drop: float = 0.0,
         back: float = 0.0,
         side: float = 0.0,
-        pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        spine: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        head: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        pelvis: Angles = 0.0,
+        spine: Angles = 0.0,
+        head: Angles = 0.0,
     ) -> Pose:
-        """Return the pose with the root moved [m] and trunk angles [rad] added."""
+        """Return the pose with the root moved [m] and trunk angles [rad] added.
+
+        A single number is a forward tilt of the pelvis or a flexion of spine or head.
+        """
+        if not isinstance(pelvis, tuple):
+            pelvis = (0.0, pelvis, 0.0)
+        if not isinstance(spine, tuple):
+            spine = (spine, 0.0, 0.0)
+        if not isinstance(head, tuple):
+            head = (head, 0.0, 0.0)
         return replace(
             self,
             root=self.root + np.array([side, -drop, -back]),

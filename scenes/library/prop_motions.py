@@ -22,9 +22,9 @@ def _crouch(puppet: Puppet, pose: Pose, knees: float, bend: float) -> Pose:
     return pose.leaning(
         drop=knees * puppet.leg,
         back=0.3 * knees * puppet.leg + 0.08 * bend * puppet.scale,
-        pelvis=(0.0, 0.5 * bend, 0.0),
-        spine=(0.5 * bend, 0.0, 0.0),
-        head=(-0.25 * bend, 0.0, 0.0),
+        pelvis=0.5 * bend,
+        spine=0.5 * bend,
+        head=-0.25 * bend,
     )
 
 
@@ -51,7 +51,7 @@ def _lift_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         low = _gripped(puppet, low, half, grip)
         near = np.array([half / puppet.scale, rng.uniform(-0.42, -0.15), 0.33])
         score.to(rng.uniform(0.9, 1.4), low).hold(0.15)
-        hold = puppet.reach_both(base.leaning(spine=(-0.08, 0, 0)), near, _DOWN)
+        hold = puppet.reach_both(base.leaning(spine=-0.08), near, _DOWN)
         score.to(rng.uniform(0.9, 1.4), hold).hold(rng.uniform(0.2, 0.6))
         for _ in range(rng.integers(1, 3)):
             turn = rng.uniform(-0.5, 0.5)
@@ -127,7 +127,7 @@ def _shoot(puppet: Puppet, score: Score, rng: Rng, base: Pose, side: int) -> Non
     brow = puppet.put_hand(brow, side, (0.06, 0.22, 0.26), (0.5, -1.0, 0.5))
     guide = puppet.reach(1 - side, (0.1, 0.2, 0.24), (0.8, -1.0, 0.4))
     brow = brow.with_arm(1 - side, guide)
-    out = base.leaning(drop=-0.2, spine=(-0.08, 0, 0), head=(-0.25, 0, 0))
+    out = base.leaning(drop=-0.2, spine=-0.08, head=-0.25)
     for foot in (LEFT, RIGHT):
         out = out.with_foot(foot, heel=rng.uniform(0.4, 0.7))
     out = puppet.put_hand(out, side, (0.12, 0.52, 0.4), (0.6, -0.6, 0.3))
@@ -165,15 +165,15 @@ def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
     seated = base.leaning(
         drop=float(drop),
         back=back,
-        pelvis=(0.0, rng.uniform(-0.25, 0.05), 0.0),
-        spine=(rng.uniform(0.0, 0.25), 0.0, 0.0),
+        pelvis=rng.uniform(-0.25, 0.05),
+        spine=rng.uniform(0.0, 0.25),
     )
     way = base.leaning(
         drop=0.5 * float(drop),
         back=0.65 * back,
-        pelvis=(0.0, 0.55 * lean, 0.0),
-        spine=(0.6 * lean, 0.0, 0.0),
-        head=(-0.3 * lean, 0.0, 0.0),
+        pelvis=0.55 * lean,
+        spine=0.6 * lean,
+        head=-0.3 * lean,
     )
     for side in (LEFT, RIGHT):
         lap = (rng.uniform(0.1, 0.17), rng.uniform(-0.37, -0.32), 0.34)
@@ -187,7 +187,7 @@ def _shifted(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
     """Vary trunk and head of someone who sits."""
     lean, side, turn = size * rng.normal(0.0, (0.12, 0.08, 0.12))
     return pose.leaning(
-        pelvis=(0.0, 0.4 * lean, 0.0),
+        pelvis=0.4 * lean,
         spine=(lean, side, turn),
         head=tuple(0.12 * size * rng.normal(size=3)),
     )
@@ -246,7 +246,7 @@ def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
                 score.to(rng.uniform(0.15, 0.25), pose)
             continue
         if kind == "back":
-            pose = pose.leaning(pelvis=(0, -0.2, 0), spine=(-0.15, 0, 0))
+            pose = pose.leaning(pelvis=-0.2, spine=-0.15)
             spot, elbow = np.array([0.1, 0.2, -0.1]), (1.0, 0.3, 0.4)
         elif kind == "phone":
             turn = (1.0 - 2.0 * side) * 0.12

@@ -70,9 +70,7 @@ def _golf_swing(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     trail = int(rng.integers(2))  # the side the club is swung back to
     away, tilt = 1.0 - 2.0 * trail, rng.uniform(0.3, 0.5)
     base = base.leaning(drop=0.06 * puppet.leg)
-    stance = base.leaning(
-        back=0.06, pelvis=(0.0, tilt, 0.0), spine=(0.25, -0.05 * away, 0.0)
-    )
+    stance = base.leaning(back=0.06, pelvis=tilt, spine=(0.25, -0.05 * away, 0.0))
     home, address = base, _club(puppet, stance, trail, 0.0, -0.54, 0.36)
     score = Score(home).hold(0.2).to(0.9, address).hold(rng.uniform(0.2, 0.5))
     while score.duration < length:
@@ -116,7 +114,7 @@ def _roll_hands(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.2)
     while score.duration < length:
         pose, way = (
-            base.leaning(spine=(rng.uniform(-0.05, 0.2), 0, 0)),
+            base.leaning(spine=rng.uniform(-0.05, 0.2)),
             rng.choice([-1, 1]),
         )
         center = np.array([0.05, rng.uniform(-0.3, -0.08), rng.uniform(0.3, 0.36)])
@@ -204,7 +202,7 @@ def _dance(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             pose = pose.leaning(
                 drop=depth * puppet.leg,
                 back=rng.uniform(0.1, 0.4) * depth * puppet.leg,
-                pelvis=(0.0, rng.uniform(0.0, 0.8) * depth, 0.0),
+                pelvis=rng.uniform(0.0, 0.8) * depth,
             )
             for foot in (LEFT, RIGHT):
                 pose = pose.with_foot(foot, knee_out=rng.uniform(0.1, 0.9))
@@ -236,9 +234,7 @@ def _dance_leg(puppet: Puppet, pose: Pose, rng: Rng, side: int, kind: str) -> Po
     pose = pose.over(1 - side, 0.8).leaning(drop=sink, back=0.3 * sink)
     if kind == "back":  # an arabesque: the trunk tips as the leg goes up
         tip = rng.uniform(0.1, 1.2) * top
-        pose = pose.leaning(
-            pelvis=(0, tip, 0), spine=(-0.5 * tip, 0, 0), back=0.1 * tip
-        )
+        pose = pose.leaning(pelvis=tip, spine=-0.5 * tip, back=0.1 * tip)
     if kind == "side":
         pose = pose.leaning(pelvis=(0.0, 0.0, -0.25 * top * way))
     return puppet.swing_leg(pose, side, flexion, abduction, knee)
@@ -276,9 +272,9 @@ def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         low = base.leaning(
             drop=rng.uniform(0.15, 0.35) * puppet.leg,
             back=0.05,
-            pelvis=(0.0, 0.35, 0.0),
-            spine=(0.35, 0.0, 0.0),
-            head=(-0.3, 0.0, 0.0),
+            pelvis=0.35,
+            spine=0.35,
+            head=-0.3,
         )
         off, land = base.leaning(drop=-0.2), low.leaning(drop=-0.1 * puppet.leg)
         for side in (LEFT, RIGHT):
