@@ -213,9 +213,7 @@ def _leg_raise(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         slump = rng.uniform(-0.45, 0.1) * top / 1.5
         tall = _moved(puppet, ready, hold, fault).over(1 - side, 0.8)
         tall = tall.leaning(
-            drop=rng.uniform(0.0, 0.04) * puppet.leg,
-            pelvis=slump,
-            spine=-0.6 * slump,
+            drop=rng.uniform(0.0, 0.04) * puppet.leg, pelvis=slump, spine=-0.6 * slump
         )
         knee = rng.uniform(0.03, 0.25) if rng.random() < 0.7 else rng.uniform(0.3, 1.0)
         up = puppet.swing_leg(tall, side, top, rng.uniform(-0.08, 0.12), knee)

@@ -113,10 +113,7 @@ def _roll_hands(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Roll the hands about each other before the chest, up and down or to and fro."""
     score = Score(base).hold(0.2)
     while score.duration < length:
-        pose, way = (
-            base.leaning(spine=rng.uniform(-0.05, 0.2)),
-            rng.choice([-1, 1]),
-        )
+        pose, way = (base.leaning(spine=rng.uniform(-0.05, 0.2)), rng.choice([-1, 1]))
         center = np.array([0.05, rng.uniform(-0.3, -0.08), rng.uniform(0.3, 0.36)])
         reach = np.array([0.0, rng.uniform(0.06, 0.16), rng.uniform(0.05, 0.09)])
         if rng.random() < 0.5:
