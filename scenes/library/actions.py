@@ -31,11 +31,10 @@ def _squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     while score.duration < length:
         depth = rng.uniform(0.2, 0.58)
         low = _arms_for_balance(puppet, base, rng, style).leaning(
-            drop=depth * puppet.leg,
-            back=0.4 * depth * puppet.leg,
-            pelvis=0.6 * depth,
-            spine=rng.uniform(0.5, 1.1) * depth,
-            head=-0.5 * depth,
+            drop=depth * puppet.leg, back=0.4 * depth * puppet.leg
+        )
+        low = low.leaning(
+            pelvis=0.6 * depth, spine=rng.uniform(0.5, 1.1) * depth, head=-0.5 * depth
         )
         low = low.with_foot(BOTH, knee_out=out)
         score.to(rng.uniform(0.9, 1.6), low).hold(rng.uniform(0.05, 0.4))
@@ -121,13 +120,8 @@ def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     while score.duration < length:
         lean, folded = rng.uniform(0.5, 0.9), rng.random() < 0.3
         sitting = base.leaning(drop=drop, back=back, pelvis=-0.08, spine=0.12)
-        way = base.leaning(
-            drop=0.45 * drop,
-            back=0.62 * back,
-            pelvis=0.55 * lean,
-            spine=0.6 * lean,
-            head=-0.3 * lean,
-        )
+        way = base.leaning(drop=0.45 * drop, back=0.62 * back)
+        way = way.leaning(pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean)
         for side in (LEFT, RIGHT):
             lap = (rng.uniform(0.1, 0.16), rng.uniform(-0.36, -0.3), 0.32)
             if folded:

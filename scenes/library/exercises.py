@@ -55,12 +55,9 @@ def _deep_squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         depth = rng.uniform(0.45, 0.62) * fault.short
         lean = rng.uniform(0.7, 2.0) * depth
         low = _moved(puppet, ready, hold, fault).leaning(
-            drop=depth * puppet.leg,
-            back=rng.uniform(0.3, 0.55) * depth * puppet.leg,
-            pelvis=0.6 * lean,
-            spine=0.4 * lean,
-            head=-0.3 * lean,
+            drop=depth * puppet.leg, back=rng.uniform(0.3, 0.55) * depth * puppet.leg
         )
+        low = low.leaning(pelvis=0.6 * lean, spine=0.4 * lean, head=-0.3 * lean)
         low = low.with_foot(BOTH, knee_out=fault.knees_out)
         _repeat(score, rng, low, ready)
     return _end(score, rng, base)
@@ -162,10 +159,8 @@ def _side_lunge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             drop=depth * puppet.leg,
             side=way * rng.uniform(0.2, 0.7) * half * min(1.0, 2.5 * depth),
             back=0.35 * depth * puppet.leg,
-            pelvis=0.6 * lean,
-            spine=0.5 * lean,
-            head=-0.3 * lean,
         )
+        low = low.leaning(pelvis=0.6 * lean, spine=0.5 * lean, head=-0.3 * lean)
         low = low.with_foot(side, knee_out=rng.uniform(0.1, 0.6) + fault.knees_out)
         _repeat(score, rng, low, wide)
     for side in (1 - first, first):
@@ -188,12 +183,9 @@ def _sit_to_stand(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         ready = hold.put(puppet, base, fault)
         drop = (base.root[1] - seat) * (0.5 + 0.5 * fault.short)
         way = _moved(puppet, ready, hold, fault).leaning(
-            drop=0.6 * drop,
-            back=0.68 * back,
-            pelvis=0.5 * lean,
-            spine=0.5 * lean,
-            head=-0.3 * lean,
+            drop=0.6 * drop, back=0.68 * back
         )
+        way = way.leaning(pelvis=0.5 * lean, spine=0.5 * lean, head=-0.3 * lean)
         seated = _moved(puppet, ready, hold, fault, 0.5).leaning(
             drop=drop, back=back, pelvis=rng.uniform(-0.2, 0.3)
         )

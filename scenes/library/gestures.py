@@ -151,10 +151,9 @@ def _stand_idle(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score = Score(base).hold(0.5)
     while score.duration < length:
         weight = rng.normal(0.0, 0.3)
-        pose = _turned(base, rng).leaning(
-            side=0.12 * weight * puppet.scale,
-            pelvis=(0.0, 0.0, -0.15 * weight),
-            spine=(0.0, 0.2 * weight, 0.0),
+        pose = _turned(base, rng).leaning(side=0.12 * weight * puppet.scale)
+        pose = pose.leaning(
+            pelvis=(0.0, 0.0, -0.15 * weight), spine=(0.0, 0.2 * weight, 0.0)
         )
         for side in (LEFT, RIGHT):
             if rng.random() < 0.45:

@@ -19,13 +19,11 @@ _DOWN = (0.7, -1.0, -0.1)
 
 def _crouch(puppet: Puppet, pose: Pose, knees: float, bend: float) -> Pose:
     """Go down by ``knees`` (share of leg length) and a bend of the trunk [rad]."""
-    return pose.leaning(
+    pose = pose.leaning(
         drop=knees * puppet.leg,
         back=0.3 * knees * puppet.leg + 0.08 * bend * puppet.scale,
-        pelvis=0.5 * bend,
-        spine=0.5 * bend,
-        head=-0.25 * bend,
     )
+    return pose.leaning(pelvis=0.5 * bend, spine=0.5 * bend, head=-0.25 * bend)
 
 
 def _gripped(puppet: Puppet, pose: Pose, half: float, height: float) -> Pose:
@@ -162,19 +160,12 @@ def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
     drop, back = base.root[1] - seat, rng.uniform(0.34, 0.43) * puppet.scale
     lean = rng.uniform(0.5, 0.9)
     base = base.with_foot(BOTH, knee_out=knees)
-    seated = base.leaning(
-        drop=float(drop),
-        back=back,
-        pelvis=rng.uniform(-0.25, 0.05),
-        spine=rng.uniform(0.0, 0.25),
+    seated = base.leaning(drop=float(drop), back=back)
+    seated = seated.leaning(
+        pelvis=rng.uniform(-0.25, 0.05), spine=rng.uniform(0.0, 0.25)
     )
-    way = base.leaning(
-        drop=0.5 * float(drop),
-        back=0.65 * back,
-        pelvis=0.55 * lean,
-        spine=0.6 * lean,
-        head=-0.3 * lean,
-    )
+    way = base.leaning(drop=0.5 * float(drop), back=0.65 * back)
+    way = way.leaning(pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean)
     for side in (LEFT, RIGHT):
         lap = (rng.uniform(0.1, 0.17), rng.uniform(-0.37, -0.32), 0.34)
         seated = puppet.put_hand(seated, side, lap, (0.8, -1.0, -0.2))

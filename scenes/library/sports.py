@@ -197,10 +197,9 @@ def _dance(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         if kind == "plie":
             depth = rng.uniform(0.1, 0.58)
             pose = pose.leaning(
-                drop=depth * puppet.leg,
-                back=rng.uniform(0.1, 0.4) * depth * puppet.leg,
-                pelvis=rng.uniform(0.0, 0.8) * depth,
+                drop=depth * puppet.leg, back=rng.uniform(0.1, 0.4) * depth * puppet.leg
             )
+            pose = pose.leaning(pelvis=rng.uniform(0.0, 0.8) * depth)
             for foot in (LEFT, RIGHT):
                 pose = pose.with_foot(foot, knee_out=rng.uniform(0.1, 0.9))
         elif kind == "rise":
@@ -266,13 +265,8 @@ def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         high, tuck = rng.uniform(0.06, 0.35), rng.uniform(0.0, 0.9)
         split = rng.uniform(-0.9, 0.9) if rng.random() < 0.5 else 0.0
         swing, spread = rng.uniform(0.3, 2.2), rng.uniform(0.3, 1.5)
-        low = base.leaning(
-            drop=rng.uniform(0.15, 0.35) * puppet.leg,
-            back=0.05,
-            pelvis=0.35,
-            spine=0.35,
-            head=-0.3,
-        )
+        low = base.leaning(drop=rng.uniform(0.15, 0.35) * puppet.leg, back=0.05)
+        low = low.leaning(pelvis=0.35, spine=0.35, head=-0.3)
         off, land = base.leaning(drop=-0.2), low.leaning(drop=-0.1 * puppet.leg)
         for side in (LEFT, RIGHT):
             low = low.with_arm(side, puppet.arm(0.6, -1.2, 0.0, 0.3))

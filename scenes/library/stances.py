@@ -145,9 +145,8 @@ class Fault:
         forward, side, twist = (
             share * a for a in (self.forward, self.side, self.twist)
         )
+        pose = pose.leaning(side=share * self.shift * puppet.leg, back=0.06 * forward)
         return pose.leaning(
-            side=share * self.shift * puppet.leg,
-            back=0.06 * forward,
             pelvis=(0.3 * twist, 0.45 * forward, 0.3 * side),
             spine=(0.55 * forward, 0.7 * side, 0.7 * twist),
             head=(-0.3 * forward, -0.2 * side, 0.0),
