@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -58,6 +58,17 @@ def hanging_arm(rng: Rng) -> tuple[float, float, float, float]:
     """Draw the angles [rad] of a hanging arm, as ``Puppet.arm`` takes them."""
     u = rng.uniform
     return u(0.08, 0.25), u(-0.1, 0.9), u(0.0, 0.6), u(0.1, 0.6)
+
+
+def alternating(score: Score, rng: Rng, length: float, chance: float) -> Iterator[int]:
+    """Yield the side of each repetition until the score lasts ``length`` [s].
+
+    The first side is drawn; each repetition changes sides with the given chance.
+    """
+    side = int(rng.integers(2))
+    while score.duration < length:
+        side = 1 - side if rng.random() < chance else side
+        yield side
 
 
 ON_HIPS = (0.19, -0.45, 0.05)
