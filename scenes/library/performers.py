@@ -19,7 +19,7 @@ from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
 from .clearance import clear_arms
-from .exercises import EXERCISES, LYMPH_FLOW
+from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
 from .poses import LEFT, RIGHT, Pose, Rng, Score, within_ranges
@@ -28,7 +28,7 @@ from .puppet import Puppet
 from .sports import SPORTS
 from .stances import stance
 
-_SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | LYMPH_FLOW | SPORTS | PROP_MOTIONS
+_SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | SPORTS | PROP_MOTIONS
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
 """Names of the motions that ``perform`` knows.
