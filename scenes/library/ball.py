@@ -34,12 +34,10 @@ _FASTEST_PUSH = 12.0  # m/s, faster than a dribbler's hand
 
 
 def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
-    """Return the height [m] of a bouncing ball; arguments broadcast.
+    """Return the height [m] of a bouncing ball some time [s] after its start.
 
-    Args:
-        height: Height at the start [m], not negative.
-        speed: Upward speed at the start [m/s].
-        duration: Time since the start [s].
+    It starts at a height [m], not negative, with an upward speed [m/s]. Arguments
+    broadcast.
     """
     h, v, t = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (height, speed, duration))
@@ -149,10 +147,8 @@ class Contact(NamedTuple):
 
     start: int
     end: int
-    catcher: int
-    """Hand (LEFT or RIGHT) that has the ball before both hands do."""
-    thrower: int
-    """Hand that has the ball after both hands did."""
+    catcher: int  # hand (LEFT or RIGHT) that has the ball before both hands do
+    thrower: int  # hand that has the ball after both hands did
     ending: Ending
 
 
@@ -179,12 +175,7 @@ def _under(hands: Hands, hand: int, radius: float) -> Array:
 
 
 def contacts(hands: Hands, radius: float) -> list[Contact]:
-    """Return the intervals in which the hands have the ball, in order of time.
-
-    Args:
-        hands: The hands.
-        radius: Radius of the ball [m].
-    """
+    """Return the intervals in which hands have a ball of a radius [m], in order."""
     events = _events(hands, radius)
     found: list[Contact] = []
     start: int | None = 0

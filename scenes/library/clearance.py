@@ -21,7 +21,7 @@ from .poses import LEFT, RIGHT, Pose
 from .puppet import Puppet
 
 _TISSUE = 0.01  # m that two parts may overlap: skin and clothes give way
-_BLURS, _ROUNDS = 2, 3  # moves between two smoothings, in this many passes
+_BLURS, _ROUNDS = 2, 3  # passes of smoothing, and displacements in each pass
 _SMOOTHING = 0.1  # s, standard deviation of the blur of the displacements
 # Opposite displacements cancel in the blur; it is amplified by at most this factor.
 _MOST_STRETCHED = 2.0
@@ -32,24 +32,16 @@ _FOREARM = ("Wrist", "Hand")
 
 
 def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
-    """Return the motion with hands and forearms moved out of the other parts.
-
-    Args:
-        puppet: The body that moves.
-        pose: The motion, with one leading axis of frames.
-        fps: Frames per second.
-    """
+    """Return a motion (one axis of frames) with the arms moved out of other parts."""
     for _ in range(_BLURS):
         scripted = pose
         for _ in range(_ROUNDS):
-            positions = puppet.solve(pose)[1]
-            touched = False
+            before, positions = pose, puppet.solve(pose)[1]
             for side in (LEFT, RIGHT):
                 push = _smooth(_way_out(puppet, positions, side), fps)
                 if push.any():
-                    touched = True
                     pose = _pushed(puppet, pose, positions, side, push)
-            if not touched:
+            if pose is before:
                 break
         pose = _smoothed(scripted, pose, fps)
     return pose

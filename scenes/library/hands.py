@@ -18,30 +18,20 @@ from kinefilter.retarget.stance import smooth_step
 class Hands:
     """Both hands over time, left before right."""
 
-    time: Array
-    """Time [s], shape (T,)."""
-    positions: Array
-    """Hand joints [m], shape (T, 2, 3)."""
-    elbows: Array
-    """Elbow joints [m], shape (T, 2, 3)."""
-    root: Array
-    """Root joint [m], shape (T, 3)."""
-    head: Array
-    """Height of the head joint [m], shape (T,)."""
-    forward: Array
-    """Direction that the pelvis faces, unit vectors, shape (T, 3)."""
-    radius: float
-    """Radius of a hand [m]."""
+    time: Array  # [s], shape (T,)
+    positions: Array  # hand joints [m], shape (T, 2, 3)
+    elbows: Array  # elbow joints [m], shape (T, 2, 3)
+    root: Array  # root joint [m], shape (T, 3)
+    head: Array  # height of the head joint [m], shape (T,)
+    forward: Array  # direction that the pelvis faces, unit vectors, shape (T, 3)
+    radius: float  # of a hand [m]
 
     @classmethod
     def of(cls, motion: Motion) -> Hands:
         """Return the hands of a motion."""
         skeleton = motion.skeleton
         positions = to_mujoco(motion.positions)
-        hand, elbow = (
-            [skeleton.index(f"{stem}{side}") for side in ("Left", "Right")]
-            for stem in ("Hand", "Elbow")
-        )
+        hand, elbow = skeleton.sides("Hand"), skeleton.sides("Elbow")
         pelvis = to_mujoco(motion.rotations[:, skeleton.root])
         return cls(
             time=motion.time,

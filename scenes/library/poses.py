@@ -32,28 +32,17 @@ class Pose:
     Axes of sides are (left, right). World frame: y up, floor y = 0, facing +z.
     """
 
-    root: Array
-    """Desired root joint [m], (..., 3); its height is limited by the legs' reach."""
-    pelvis: Array
-    """Yaw to the left, tilt forward, lean to the left, (..., 3)."""
-    spine: Array
-    """Flexion, bend to the left, axial rotation to the left, (..., 3)."""
-    head: Array
-    """The same three angles of the head relative to the thorax, (..., 3)."""
-    arm: Array
-    """Upper arm relative to the thorax, wxyz, as if it were a left arm, (..., 2, 4)."""
-    elbow: Array
-    """Elbow flexion, (..., 2)."""
-    hand: Array
-    """Pronation of the hand about the forearm and wrist flexion, (..., 2, 2)."""
-    ankle: Array
-    """Ankle [m] while the foot is flat, world frame, (..., 2, 3)."""
-    foot: Array
-    """Yaw in the world and heel rise (pitch about the toes), (..., 2, 2)."""
-    lifted: Array
-    """0: the foot is planted; 1: it hangs from the shank, (..., 2)."""
-    knee_out: Array
-    """Outward rotation of the knee relative to the foot, (..., 2)."""
+    root: Array  # desired root joint [m], (..., 3); the legs' reach limits its height
+    pelvis: Array  # yaw to the left, tilt forward, lean to the left, (..., 3)
+    spine: Array  # flexion, bend and axial rotation to the left, (..., 3)
+    head: Array  # the same angles of the head relative to the thorax, (..., 3)
+    arm: Array  # upper arm relative to the thorax, wxyz, as for a left arm, (..., 2, 4)
+    elbow: Array  # flexion, (..., 2)
+    hand: Array  # pronation about the forearm, wrist flexion, (..., 2, 2)
+    ankle: Array  # place [m] while the foot is flat, world frame, (..., 2, 3)
+    foot: Array  # yaw in the world, heel rise (pitch about the toes), (..., 2, 2)
+    lifted: Array  # 0: the foot is planted; 1: it hangs from the shank, (..., 2)
+    knee_out: Array  # outward rotation of the knee relative to the foot, (..., 2)
 
     def with_arm(self, side: int | slice, arm: tuple[Array, Array]) -> Pose:
         """Return the pose with a new (upper arm, elbow) on one side or on BOTH."""

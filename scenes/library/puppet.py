@@ -10,7 +10,8 @@ elevation, axial rotation (positive inward).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,8 +56,7 @@ _TRUNK = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Trunk:
+class Trunk(NamedTuple):
     """Position [m] and rotations (wxyz) of the trunk in the world frame."""
 
     root: Array  # (..., 3)
@@ -73,14 +73,9 @@ class Puppet:
         self.body = body
         self.scale = body.height / STANDARD_HEIGHT
         """Size relative to the standard body, for which the motions are written."""
-        index, rest = body.skeleton.index, body.rest_positions
-        arm, leg = (
-            [[index(f"{stem}{side}") for side in ("Left", "Right")] for stem in stems]
-            for stems in (
-                ("Shoulder", "Elbow", "Wrist", "Hand"),
-                ("Hip", "Knee", "Ankle", "Foot"),
-            )
-        )
+        sides, rest = body.skeleton.sides, body.rest_positions
+        arm = [sides(joint) for joint in ("Shoulder", "Elbow", "Wrist", "Hand")]
+        leg = [sides(joint) for joint in ("Hip", "Knee", "Ankle", "Foot")]
         self._collar, self._upper, self._fore, self._hand = body.lengths[arm]
         _, self._thigh, self._shank, _ = body.lengths[leg]
         self._hips, _, _, self._sole = body.rest_offsets[leg]
@@ -97,21 +92,17 @@ class Puppet:
         self._lower_share = float(lower / (lower + upper))
 
     def arm(
-        self,
-        elevation: ArrayLike,
-        plane: ArrayLike,
-        rotation: ArrayLike,
-        elbow: ArrayLike,
+        self, elevation: ArrayLike, plane: ArrayLike, axial: ArrayLike, elbow: ArrayLike
     ) -> tuple[Array, Array]:
         """Return (upper arm, elbow) for shoulder angles [rad] after Wu et al. 2005."""
-        elevation, plane, rotation, elbow = np.broadcast_arrays(
-            *(np.asarray(a, dtype=float) for a in (elevation, plane, rotation, elbow))
+        elevation, plane, axial, elbow = np.broadcast_arrays(
+            *(np.asarray(a, dtype=float) for a in (elevation, plane, axial, elbow))
         )
         out = np.sin(elevation)
         direction = np.stack(
             [out * np.cos(plane), -np.cos(elevation), out * np.sin(plane)], axis=-1
         )
-        hanging = multiply(about_y(-rotation), about_z(-np.pi / 2.0))
+        hanging = multiply(about_y(-axial), about_z(-np.pi / 2.0))
         return multiply(between(_DOWN, direction), hanging), elbow.copy()
 
     def forearm(self, side: int) -> float:
@@ -321,11 +312,9 @@ def _bend(angles: Array) -> Array:
 def _collarbone_angles(along: Array) -> tuple[Array, Array]:
     """Return elevation and protraction [rad] of the left collarbone, (...) each.
 
-    The collarbone follows the upper arm, after the shoulder rhythm of Inman et al. 1944
-    (J. Bone Joint Surg. 26); the amounts are a guess that looks right.
-
-    Args:
-        along: Unit vector along the left upper arm, thorax frame, (..., 3).
+    It follows the unit vector along the left upper arm, thorax frame, (..., 3), after
+    the shoulder rhythm of Inman et al. 1944 (J. Bone Joint Surg. 26); the amounts are a
+    guess that looks right.
     """
     elevation = np.arccos(np.minimum(np.maximum(-along[..., 1], -1.0), 1.0)) / np.pi
     lift = np.radians(-7.0 + 32.0 * elevation**1.5)

@@ -22,13 +22,7 @@ the pose it started from.
 
 
 def stance(puppet: Puppet, rng: Rng, *, wide: float = 0.0) -> Pose:
-    """Draw a relaxed standing pose: width, toes, lean and hanging arms.
-
-    Args:
-        puppet: The puppet that stands.
-        rng: Source of the draws.
-        wide: Extra distance between the feet, in hip widths.
-    """
+    """Draw a relaxed standing pose, the feet ``wide`` hip widths farther apart."""
     half = (rng.uniform(0.9, 1.9) + wide) * puppet.hip_width / 2.0
     toe_out = rng.uniform(0.0, 0.25) + 0.1 * wide
     step = rng.normal(0.0, 0.03) * puppet.scale
@@ -79,10 +73,8 @@ _FOLDED = (-0.02, -0.14, 0.26)  # hand in front of the chest, likewise
 class ArmHold(NamedTuple):
     """A way to hold both arms."""
 
-    name: str
-    """``hips`` (hands on the hips), ``folded``, or a hold given by angles."""
-    angles: tuple[float, float, float, float] | None = None
-    """Angles [rad] of both arms as ``Puppet.arm`` takes them."""
+    name: str  # "hips" (hands on the hips), "folded", or a hold given by angles
+    angles: tuple[float, float, float, float] | None = None  # as for Puppet.arm [rad]
 
     def put(self, puppet: Puppet, pose: Pose, fault: Fault) -> Pose:
         """Return the pose with both arms held this way, off by the fault."""
@@ -134,22 +126,14 @@ def draw_hold(rng: Rng, *names: str) -> ArmHold:
 class Fault:
     """Deviation of one repetition from the correct form, angles [rad]."""
 
-    forward: float
-    """Excess forward bend of the trunk."""
-    side: float
-    """Bend of the trunk to the left."""
-    twist: float
-    """Rotation of the trunk to the left."""
-    shift: float
-    """Offset of the root to the left, as a share of leg length."""
-    short: float
-    """Share of the full range of motion that is reached."""
-    knees_out: float
-    """Knees outward of the feet; negative: inward."""
-    droop: Array
-    """How much too low the left and the right arm are, shape (2,)."""
-    sweep: Array
-    """How far the left and the right forearm are turned away, shape (2,)."""
+    forward: float  # excess forward bend of the trunk
+    side: float  # bend of the trunk to the left
+    twist: float  # rotation of the trunk to the left
+    shift: float  # offset of the root to the left, as a share of leg length
+    short: float  # share of the full range of motion that is reached
+    knees_out: float  # knees outward of the feet; negative: inward
+    droop: Array  # how much too low the left and the right arm are, shape (2,)
+    sweep: Array  # how far the left and the right forearm are turned away, shape (2,)
 
     def bend(self, puppet: Puppet, pose: Pose, share: float = 1.0) -> Pose:
         """Return the pose with a share of the fault's trunk deviation added."""
