@@ -110,21 +110,19 @@ def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     while score.duration < length:
         lean, folded = u(0.5, 0.9), rng.random() < 0.3
         sitting = base.leaning(drop=drop, back=back, pelvis=-0.08, spine=0.12)
-        halfway = base.leaning(drop=0.45 * drop, back=0.62 * back)
-        halfway = halfway.leaning(
-            pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean
-        )
+        midway = base.leaning(drop=0.45 * drop, back=0.62 * back)
+        midway = midway.leaning(pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean)
         for side in (LEFT, RIGHT):
             lap = (u(0.1, 0.16), u(-0.36, -0.3), 0.32)
             if folded:
                 lap = (-0.13, -0.2 - 0.05 * side, 0.22 + 0.07 * side)
             sitting = puppet.put_hand(sitting, side, lap, (0.8, -1.0, -0.1))
-            halfway = halfway.with_arm(side, puppet.arm(u(0.4, 1.0), 1.3, 0.3, 0.5))
-        score.to(u(0.7, 1.0), halfway).to(u(0.5, 0.8), sitting)
+            midway = midway.with_arm(side, puppet.arm(u(0.4, 1.0), 1.3, 0.3, 0.5))
+        score.to(u(0.7, 1.0), midway).to(u(0.5, 0.8), sitting)
         for _ in range(rng.integers(1, 4)):
             shift = tuple(0.06 * rng.normal(size=3))
             score.to(u(0.6, 1.0), sitting.leaning(spine=shift, head=shift))
-        score.to(u(0.5, 0.8), halfway).to(u(0.6, 0.9), base).hold(u(0.1, 0.5))
+        score.to(u(0.5, 0.8), midway).to(u(0.6, 0.9), base).hold(u(0.1, 0.5))
     return score
 
 

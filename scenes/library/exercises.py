@@ -80,10 +80,8 @@ def _hurdle_step(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         flexion = u(1.2, 1.9) * (0.4 + 0.6 * fault.short)
         tall = _faulty(puppet, ready, hold, fault).over(1 - side, 0.8)
         tall = tall.leaning(head=u(0.0, 0.6))
-        abduction, knee = (
-            u(-0.05, 0.25),
-            float(np.clip(flexion * u(0.7, 1.3), 0.3, 2.2)),
-        )
+        abduction = u(-0.05, 0.25)
+        knee = float(np.clip(flexion * u(0.7, 1.3), 0.3, 2.2))
         up = puppet.swing_leg(tall, side, flexion, abduction, knee)
         by = np.array([0.0, 0.0, u(0.3, 0.5) * puppet.leg])
         touch = tall.with_foot(side, ankle=tall.ankle[side] + by)
@@ -168,15 +166,15 @@ def _sit_to_stand(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         hold, fault, lean = draw_hold(rng, *_STICKS), draw_fault(rng), u(0.4, 0.9)
         ready = hold.put(puppet, base, fault)
         drop = (base.root[1] - seat) * (0.5 + 0.5 * fault.short)
-        halfway = _faulty(puppet, ready, hold, fault)
-        halfway = halfway.leaning(drop=0.6 * drop, back=0.68 * back)
-        halfway = halfway.leaning(pelvis=0.5 * lean, spine=0.5 * lean, head=-0.3 * lean)
-        halfway = halfway.with_foot(BOTH, knee_out=fault.knees_out)
+        midway = _faulty(puppet, ready, hold, fault)
+        midway = midway.leaning(drop=0.6 * drop, back=0.68 * back)
+        midway = midway.leaning(pelvis=0.5 * lean, spine=0.5 * lean, head=-0.3 * lean)
+        midway = midway.with_foot(BOTH, knee_out=fault.knees_out)
         seated = _faulty(puppet, ready, hold, fault, 0.5)
         seated = seated.leaning(drop=drop, back=back, pelvis=u(-0.2, 0.3))
         seated = seated.with_foot(BOTH, knee_out=0.5 * fault.knees_out)
-        score.to(u(0.6, 1.0), halfway).to(u(0.4, 0.7), seated).hold(u(0.1, 0.5))
-        score.to(u(0.4, 0.7), halfway).to(u(0.6, 0.9), ready).hold(u(0.05, 0.3))
+        score.to(u(0.6, 1.0), midway).to(u(0.4, 0.7), seated).hold(u(0.1, 0.5))
+        score.to(u(0.4, 0.7), midway).to(u(0.6, 0.9), ready).hold(u(0.05, 0.3))
     return _end(score, rng, base)
 
 
@@ -289,12 +287,8 @@ def _clasp_and_spread(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Sc
             spot, elbow_to = (0.12, u(0.14, 0.22), -0.06), (1.0, 0.3, u(0.2, 0.9))
         closed = puppet.reach_both(base, spot, elbow_to)
         opened = _breathed(base, rng, 0.8)
-        elevation, plane, bend, turn = (
-            u(1.2, 1.8),
-            u(-0.35, 0.3),
-            u(0.1, 0.7),
-            u(-0.9, 0),
-        )
+        elevation, plane = u(1.2, 1.8), u(-0.35, 0.3)
+        bend, turn = u(0.1, 0.7), u(-0.9, 0.0)
         opened = opened.with_arm(BOTH, puppet.arm(elevation, plane, turn, bend))
         score.to(u(0.8, 1.4), closed).hold(u(0.1, 0.5))
         score.to(u(0.8, 1.4), opened).hold(u(0.1, 0.5))

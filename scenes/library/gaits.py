@@ -41,7 +41,7 @@ class _Gait(NamedTuple):
     period: float  # duration of one cycle [s]
     stance: float  # share of the cycle in which a foot is planted
     lift: float  # height of the swinging ankle above its height when planted [m]
-    toe_off: float  # heel rise when the foot leaves the floor [rad]
+    heel: float  # heel rise when the foot leaves the floor [rad]
     crouch: float  # mean height of the root below standing, as a share of leg length
     bounce: float  # amplitude of the root's height [m]; positive: highest in mid-stance
     swing: float  # amplitude of the shoulder's flexion [rad]
@@ -54,36 +54,22 @@ def _style(name: str, rng: Rng) -> _Gait:
     u, flexion = rng.uniform, 0.0
     if name == "run":
         stride, period, stance = u(1.5, 2.3), u(0.66, 0.8), u(0.34, 0.4)
-        lift, toe_off, crouch = u(0.3, 0.45), 0.9, u(0.06, 0.09)
-        bounce, swing, elbow, lean = (
-            -u(0.03, 0.04),
-            u(0.5, 0.9),
-            u(1.3, 1.8),
-            u(0.1, 0.2),
-        )
+        lift, heel, crouch = u(0.3, 0.45), 0.9, u(0.06, 0.09)
+        bounce, swing = -u(0.03, 0.04), u(0.5, 0.9)
+        elbow, lean = u(1.3, 1.8), u(0.1, 0.2)
     elif name == "march":
         stride, period, stance = u(0.0, 0.1), u(0.9, 1.4), 0.55
-        lift, toe_off, crouch = u(0.15, 0.5), 0.25, 0.012
+        lift, heel, crouch = u(0.15, 0.5), 0.25, 0.012
         bounce, swing, elbow, lean = 0.005, u(0.2, 0.7), u(0.3, 1.4), u(0.0, 0.05)
     else:
         speed = u(0.6, 1.3) if name == "carry" else u(0.7, 1.6)
         period = 1.3 - 0.2 * speed + u(-0.06, 0.06)
         stride, stance = speed * period, 0.62
-        lift, toe_off, crouch = u(0.08, 0.13), u(0.6, 0.9), u(0.012, 0.03)
+        lift, heel, crouch = u(0.08, 0.13), u(0.6, 0.9), u(0.012, 0.03)
         bounce, swing, elbow, lean = 0.015, u(0.15, 0.5), u(0.1, 0.6), u(-0.12, 0.1)
         flexion = u(-0.25, 0.0)
     return _Gait(
-        stride,
-        period,
-        stance,
-        lift,
-        toe_off,
-        crouch,
-        bounce,
-        swing,
-        elbow,
-        lean,
-        flexion,
+        stride, period, stance, lift, heel, crouch, bounce, swing, elbow, lean, flexion
     )
 
 
@@ -118,8 +104,8 @@ def gait(
         foot[:, side, 1] = _heel(phase, style)
     turn = 2.0 * np.pi * cycle
     sway = np.sin(turn + 0.3)  # to the left while the left foot is planted
-    height = puppet.ankle_height + puppet.leg * (1.0 - style.crouch)
-    height = height - style.bounce * size * np.cos(2.0 * turn)
+    mean_height = puppet.ankle_height + puppet.leg * (1.0 - style.crouch)
+    height = mean_height - style.bounce * size * np.cos(2.0 * turn)
     forward = style.stride * size * cycle
     zero, lean = np.zeros_like(time), style.lean + 0.06 * _drift(rng, time)
     yaw = -0.12 * np.cos(turn) * min(style.stride, 1.5)
@@ -221,7 +207,7 @@ def _heel(phase: Array, style: _Gait) -> Array:
     fall = _ease(np.clip((phase - off) / (0.6 * (1.0 - off)), 0.0, 1.0))
     toes = _ease(np.clip((phase - 0.8) / 0.15, 0.0, 1.0)) * (phase > 0.5)
     toes = toes + (1.0 - _ease(np.clip(phase / 0.1, 0.0, 1.0))) * (phase < 0.5)
-    return style.toe_off * rise * (1.0 - fall) - 0.2 * min(style.stride, 1.0) * toes
+    return style.heel * rise * (1.0 - fall) - 0.2 * min(style.stride, 1.0) * toes
 
 
 def _swing_arms(

@@ -30,12 +30,8 @@ def _wave(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     score, u = Score(base).hold(0.4), rng.uniform
     while score.duration < length:
         sides, pace = _one_or_both(rng), u(0.22, 0.42)
-        elevation, plane, elbow, swing = (
-            u(0.9, 2.3),
-            u(0, 0.7),
-            u(0.6, 1.6),
-            u(0.2, 0.45),
-        )
+        elevation, plane = u(0.9, 2.3), u(0.0, 0.7)
+        elbow, swing = u(0.6, 1.6), u(0.2, 0.45)
         pose = _varied(base, rng)
         for beat in range(rng.integers(4, 9)):
             turn = -1.45 + (-1) ** beat * swing * u(0.7, 1.1)
@@ -212,8 +208,8 @@ def _punch(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         turn = (2.0 * side - 1.0) * u(0.2, 0.55)
         pose = guard.leaning(back=-0.04, pelvis=(0.5 * turn, 0.05, 0.0))
         pose = pose.leaning(spine=(0.1, 0.0, turn), head=(0.0, 0.0, -turn))
-        for seconds, goal, elbow_to in _blow(rng):
-            score.to(seconds, puppet.put_hand(pose, side, goal, elbow_to))
+        for seconds, fist, elbow_to in _blow(rng):
+            score.to(seconds, puppet.put_hand(pose, side, fist, elbow_to))
         score.to(u(0.25, 0.4), _varied(guard, rng, 0.5)).hold(u(0.05, 0.5))
     return score
 

@@ -123,12 +123,9 @@ def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
     The character also has a free joint; it is recognized by its target body.
     """
     bodies = {body.name for body in scene.bodies}
-    free = (
-        joint.parent.name
-        for joint in scene.joints
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE
-    )
-    return tuple(name for name in free if f"target:{name}" not in bodies)
+    free = mujoco.mjtJoint.mjJNT_FREE
+    names = (joint.parent.name for joint in scene.joints if joint.type == free)
+    return tuple(name for name in names if f"target:{name}" not in bodies)
 
 
 def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:

@@ -140,14 +140,14 @@ class Score:
     def sample(self, fps: float) -> tuple[Array, Pose]:
         """Return time [s], shape (T,), and the motion at a constant frame rate."""
         time = np.arange(0.0, self.duration, 1.0 / fps)
-        channels = {}
+        channels, width = {}, _SMOOTHING * fps
         for field in fields(Pose):
             keys = np.stack([getattr(pose, field.name) for pose in self._poses])
             if field.name == "arm":
                 keys = continuous(keys)
             path = PchipInterpolator(self._times, keys)(time)
             channels[field.name] = gaussian_filter1d(
-                path, _SMOOTHING * fps, axis=0, mode="nearest"
+                path, width, axis=0, mode="nearest"
             )
         arm = channels["arm"]
         channels["arm"] = arm / np.linalg.norm(arm, axis=-1, keepdims=True)

@@ -114,16 +114,16 @@ def _shoot(puppet: Puppet, score: Score, rng: Rng, base: Pose, side: int) -> Non
 class _Seat(NamedTuple):
     """Poses of one person sitting down on a chair."""
 
-    halfway: Pose  # leaning forward over the feet
+    midway: Pose  # leaning forward over the feet
     seated: Pose  # with the hands on the thighs
 
     def sit(self, score: Score, rng: Rng) -> None:
-        score.to(rng.uniform(0.7, 1.0), self.halfway)
+        score.to(rng.uniform(0.7, 1.0), self.midway)
         score.to(rng.uniform(0.5, 0.8), self.seated)
 
     def stand(self, score: Score, rng: Rng, base: Pose) -> Score:
         score.to(rng.uniform(0.5, 0.9), self.seated)
-        score.to(rng.uniform(0.5, 0.8), self.halfway)
+        score.to(rng.uniform(0.5, 0.8), self.midway)
         return score.to(rng.uniform(0.6, 0.9), base).hold(0.2)
 
 
@@ -135,13 +135,13 @@ def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
     base = base.with_foot(BOTH, knee_out=knees)
     seated = base.leaning(drop=drop, back=back, pelvis=u(-0.25, 0.05))
     seated = seated.leaning(spine=u(0.0, 0.25))
-    halfway = base.leaning(drop=0.5 * drop, back=0.65 * back)
-    halfway = halfway.leaning(pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean)
+    midway = base.leaning(drop=0.5 * drop, back=0.65 * back)
+    midway = midway.leaning(pelvis=0.55 * lean, spine=0.6 * lean, head=-0.3 * lean)
     for side in (LEFT, RIGHT):
         lap = (u(0.1, 0.17), u(-0.37, -0.32), 0.34)
         seated = puppet.put_hand(seated, side, lap, (0.8, -1.0, -0.2))
-        halfway = halfway.with_arm(side, puppet.arm(u(0.4, 1.0), 1.3, 0.3, 0.5))
-    return _Seat(halfway, seated)
+        midway = midway.with_arm(side, puppet.arm(u(0.4, 1.0), 1.3, 0.3, 0.5))
+    return _Seat(midway, seated)
 
 
 def _shifted(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:

@@ -99,9 +99,8 @@ class Puppet:
             *(np.asarray(a, dtype=float) for a in (elevation, plane, axial, elbow))
         )
         out = np.sin(elevation)
-        direction = np.stack(
-            [out * np.cos(plane), -np.cos(elevation), out * np.sin(plane)], axis=-1
-        )
+        x, y, z = out * np.cos(plane), -np.cos(elevation), out * np.sin(plane)
+        direction = np.stack([x, y, z], axis=-1)
         hanging = multiply(about_y(-axial), about_z(-np.pi / 2.0))
         return multiply(between(_DOWN, direction), hanging), elbow.copy()
 
@@ -318,9 +317,8 @@ def _collarbone_angles(along: Array) -> tuple[Array, Array]:
     """
     elevation = np.arccos(np.minimum(np.maximum(-along[..., 1], -1.0), 1.0)) / np.pi
     lift = np.radians(-7.0 + 32.0 * elevation**1.5)
-    forward = np.radians(11.0) * along[..., 2] + np.radians(8.0) * np.maximum(
-        -along[..., 0], 0.0
-    )
+    inward = np.maximum(-along[..., 0], 0.0)
+    forward = np.radians(11.0) * along[..., 2] + np.radians(8.0) * inward
     return lift, forward
 
 

@@ -137,9 +137,7 @@ class Fault:
 
     def bend(self, puppet: Puppet, pose: Pose, share: float = 1.0) -> Pose:
         """Return the pose with a share of the fault's trunk deviation added."""
-        forward, side, twist = (
-            share * a for a in (self.forward, self.side, self.twist)
-        )
+        forward, side, twist = share * np.array([self.forward, self.side, self.twist])
         pose = pose.leaning(side=share * self.shift * puppet.leg, back=0.06 * forward)
         return pose.leaning(
             pelvis=(0.3 * twist, 0.45 * forward, 0.3 * side),
