@@ -175,26 +175,26 @@ def _under(hands: Hands, hand: int, radius: float) -> Array:
 
 
 def contacts(hands: Hands, radius: float) -> list[Contact]:
-    """Return the intervals in which hands have a ball of a radius [m], in order."""
+    """Return in order of time when hands have a ball of the given radius [m]."""
     events = _events(hands, radius)
-    found: list[Contact] = []
+    touches: list[Contact] = []
     start: int | None = 0
-    if events and events[0].hand == _BOTH:
-        on_floor = hands.middle[events[0].first, 2] - radius < _LOW
-        start = None if on_floor else 0
+    hold_first = bool(events) and events[0].hand == _BOTH
+    if hold_first and hands.middle[events[0].first, 2] - radius < _LOW:
+        start = None  # the ball lies on the floor until the first hold
     hand = next((event.hand for event in events if event.hand != _BOTH), RIGHT)
     for event, following in zip_longest(events, events[1:]):
         if start is None:
-            start = _top(hands, event, found[-1].end + 1 if found else 0)
+            start = _top(hands, event, touches[-1].end + 1 if touches else 0)
         if event.hand != _BOTH:
             release, catch = _stroke(hands, start, event, following, radius)
-            found.append(Contact(start, release, hand, event.hand, Ending.STROKE))
+            touches.append(Contact(start, release, hand, event.hand, Ending.STROKE))
             start, hand = catch, _catcher(event, following)
         elif event.thrown or following is None or following.hand == _BOTH:
             ending = Ending.THROW if event.thrown else Ending.PART
-            found.append(Contact(start, event.last, hand, hand, ending))
+            touches.append(Contact(start, event.last, hand, hand, ending))
             start = None
-    return found
+    return touches
 
 
 def _top(hands: Hands, event: _Event, earliest: int) -> int:
@@ -340,7 +340,7 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
     path[:, 2] = np.maximum(path[:, 2], radius)
 
 
-def _letting_go(hands: Hands, touch: Contact) -> Array:
+def _release_velocity(hands: Hands, touch: Contact) -> Array:
     """Return the velocity [m/s] of the hand or hands that release the ball."""
     speed = hands.speed[touch.end]
     if touch.ending is Ending.STROKE:
@@ -354,7 +354,8 @@ def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -
     flight = slice(touch.end, catch + 1)
     time = hands.time[flight] - hands.time[touch.end]
     start, end = path[touch.end].copy(), path[catch].copy()
-    low, high, wish = start[2] - radius, end[2] - radius, _letting_go(hands, touch)[2]
+    low, high = start[2] - radius, end[2] - radius
+    wish = _release_velocity(hands, touch)[2]
     stroke = touch.ending is Ending.STROKE
     speed = launch_speed(low, high, time[-1], wish, bouncing=stroke)
     if np.isnan(speed):
@@ -365,7 +366,7 @@ def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -
 
 def _let_go(path: Array, hands: Hands, last: Contact, radius: float) -> None:
     """Fill in the flight of a ball that no one catches."""
-    start, speed = path[last.end].copy(), _letting_go(hands, last)
+    start, speed = path[last.end].copy(), _release_velocity(hands, last)
     time = hands.time[last.end :] - hands.time[last.end]
     low, up = float(start[2] - radius), float(speed[2])
     path[last.end :] = start + rolled(low, up, time)[:, None] * speed

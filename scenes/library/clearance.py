@@ -38,7 +38,7 @@ def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
         for _ in range(_ROUNDS):
             before, positions = pose, puppet.solve(pose)[1]
             for side in (LEFT, RIGHT):
-                push = _smooth(_way_out(puppet, positions, side), fps)
+                push = _smooth(_displacement(puppet, positions, side), fps)
                 if push.any():
                     pose = _pushed(puppet, pose, positions, side, push)
             if pose is before:
@@ -47,8 +47,8 @@ def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
     return pose
 
 
-def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
-    """Return the way [m] that frees an arm from its deepest overlap, (T, 3)."""
+def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
+    """Return the vector [m] that frees an arm from its deepest overlap, (T, 3)."""
     body, index = puppet.body, puppet.body.skeleton.index
     elbow, wrist, hand = (
         positions[:, index(part + SIDES[side])] for part in ("Elbow", "Wrist", "Hand")
@@ -70,12 +70,13 @@ def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
         deep = depth[worst, frames]
         if not (deep > deepest).any():
             continue
-        way = away[worst, frames] / np.maximum(distance[worst, frames], 1e-6)[:, None]
+        near = np.maximum(distance[worst, frames], 1e-6)[:, None]
+        line = away[worst, frames] / near
         # Deep inside, the shortest way can reverse between frames; add an upward part.
         if share == 1.0:
-            way = way + (deep / (radii.max() + body.radii[end]))[:, None] * _UP
-        way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
-        out = np.where((deep > deepest)[:, None], share * deep[:, None] * way, out)
+            line = line + (deep / (radii.max() + body.radii[end]))[:, None] * _UP
+        line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-6)
+        out = np.where((deep > deepest)[:, None], share * deep[:, None] * line, out)
         deepest = np.maximum(deep, deepest)
     return np.asarray(out)
 
@@ -83,7 +84,7 @@ def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
 def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
     """Return the parts an arm must clear, and its share of the displacement.
 
-    A part is given by the joint at its end. Two arms each move half of the way.
+    A part is given by the joint at its end. Two arms each move by half.
     """
     trunk = skeleton.up_from(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
@@ -108,9 +109,9 @@ def _smooth(push: Array, fps: float) -> Array:
     width = max(1, round(_SMOOTHING * fps))
     longest = maximum_filter1d(length, 4 * width + 1)
     longest = gaussian_filter1d(longest, width, radius=2 * width)
-    way = gaussian_filter1d(push, width, axis=0, radius=6 * width)
-    norm = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
-    return np.asarray(way * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
+    blurred = gaussian_filter1d(push, width, axis=0, radius=6 * width)
+    norm = np.maximum(np.linalg.norm(blurred, axis=1), 1e-12)
+    return np.asarray(blurred * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
 
 
 def _pushed(

@@ -178,9 +178,8 @@ class _Loop:
         lean = np.arctan(curvature * speed**2 / GRAVITY)
         turn = np.stack([heading, np.zeros_like(heading), lean], axis=-1)
         foot = pose.foot + np.stack([toes, np.zeros_like(toes)], axis=-1)
-        return replace(
-            pose, root=root, ankle=ankle, foot=foot, pelvis=pose.pelvis + turn
-        )
+        pelvis = pose.pelvis + turn
+        return replace(pose, root=root, ankle=ankle, foot=foot, pelvis=pelvis)
 
 
 def _drift(rng: Rng, time: Array) -> Array:

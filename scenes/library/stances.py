@@ -39,9 +39,7 @@ def stance(puppet: Puppet, rng: Rng, *, wide: float = 0.0) -> Pose:
         arm=np.stack([left[0], right[0]]),
         elbow=np.stack([left[1], right[1]]),
         hand=np.zeros((2, 2)),
-        ankle=np.array(
-            [[way * half, puppet.ankle_height, way * step] for way in (1, -1)]
-        ),
+        ankle=np.array([[s * half, puppet.ankle_height, s * step] for s in (1, -1)]),
         foot=np.array([[toe_out, 0.0], [-toe_out, 0.0]]),
         lifted=np.zeros(2),
         knee_out=np.zeros(2),
