@@ -201,7 +201,7 @@ def test_an_unknown_motion_is_refused_with_the_known_names() -> None:
     body = standard_body(KINECT_V1)
     with pytest.raises(InputError, match=r"moonwalk.*cross_arms"):
         perform("moonwalk", body, seed=0)
-    with pytest.raises(InputError, match=r"'walk' leaves its place.*wave"):
+    with pytest.raises(InputError, match=r"'walk' does not stay on the spot.*wave"):
         perform_medley([("walk", 1.0)], body, seed=0)
     with pytest.raises(InputError, match="at least one"):
         perform_medley([], body, seed=0)

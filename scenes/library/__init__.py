@@ -1,4 +1,4 @@
-"""Scripted performers, and the props that follow their hands."""
+"""Scripted performers, and props that follow their hands."""
 
 from .gaits import Area
 from .moving_props import movable_props, prop_poses

@@ -1,9 +1,10 @@
-"""A ball along the script: held, dribbled and thrown as the hands have it, else flying.
+"""Path of a ball that a performer holds, dribbles and throws.
 
-Heights of a flight are of the ball's lowest point above the floor, speeds upward. Air
-and spin are left out: at 5 m/s the air takes less than a tenth of what gravity gives a
-basketball. The hands were not moved for the ball, so it leaves the hand of a stroke and
-comes back in those frames in which a flying ball fits the hands best.
+Flight heights are those of the ball's lowest point above the floor; speeds are upward.
+Air resistance and spin are neglected: at 5 m/s the drag on a basketball is less than a
+tenth of its weight. The hands were not moved for the ball, so the ball leaves the hand
+in a stroke and returns to it in those frames in which a ballistic flight fits the
+motion of the hands best.
 """
 
 from __future__ import annotations
@@ -24,21 +25,19 @@ from .hands import Hands, fading
 from .poses import LEFT, RIGHT
 
 RESTITUTION = 0.767
-"""Speed after over speed before a bounce: a ball dropped from 1.8 m, measured at its
-bottom, comes back to 1.3 m, measured at its top, the middle of what FIBA allows."""
+"""Ratio of the speeds after and before a bounce: a ball dropped from 1.8 m (measured at
+its bottom) rises to 1.3 m (measured at its top), the middle of FIBA's range."""
 _BOUNCES = 14  # the last one rises less than 3 mm after a fall from 2 m
 _ROLLING_TIME = 1.2  # s until a rolling ball has lost most of its speed: a guess
-_GRID = 0.06  # m/s: two launch speeds that both hit are further apart than this
-_FASTEST_PUSH = 12.0  # m/s, more than a dribbler's hand
+_GRID = 0.06  # m/s: two launch speeds that both hit differ by more than this
+_FASTEST_PUSH = 12.0  # m/s, faster than a dribbler's hand
 
 
 def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
-    """Return the height [m] after a time of flight and bouncing; arguments broadcast.
+    """Return the height [m] of a bouncing ball some time [s] after its start.
 
-    Args:
-        height: Height at the start [m], not negative.
-        speed: Upward speed at the start [m/s].
-        duration: Time since then [s].
+    It starts at a height [m], not negative, with an upward speed [m/s]. Arguments
+    broadcast.
     """
     h, v, t = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (height, speed, duration))
@@ -56,10 +55,10 @@ def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
 
 
 def rolled(height: float, speed: float, duration: ArrayLike) -> Array:
-    """Return how long [s] the ball would have flown as far as it has come, level.
+    """Return the horizontal distance per unit of launch speed [s].
 
-    The way along the floor is that times the level speed: in the air it is the time
-    itself, and from the first bounce on the ball slows down as it rolls.
+    In the air it is the time itself; after the first bounce the ball slows down as if
+    it rolled.
     """
     time = np.asarray(duration, dtype=float)
     fall = (speed + np.sqrt(speed**2 + 2.0 * GRAVITY * height)) / GRAVITY
@@ -76,17 +75,17 @@ def launch_speed(
     *,
     bouncing: bool = False,
 ) -> Array:
-    """Return the upward speed [m/s] with which a ball comes from one height to another.
+    """Return the upward speed [m/s] that takes a ball from one height to another.
 
-    Of all speeds that do, with any number of bounces, the one nearest to a wish. There
-    always is one: a throw without a bounce. Arguments broadcast.
+    Of all such speeds, with any number of bounces, this is the one closest to the wish.
+    A throw without a bounce is always possible. Arguments broadcast.
 
     Args:
         start: Height at the start [m].
         end: Height at the end [m].
         duration: Time between them [s], positive.
-        wish: Upward speed of the hand that lets go [m/s].
-        bouncing: Only speeds with at least one bounce; NaN where there is none.
+        wish: Upward speed of the hand at the release [m/s].
+        bouncing: Require at least one bounce; NaN where that is impossible.
     """
     start, end, duration, wish = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (start, end, duration, wish))
@@ -100,33 +99,34 @@ def launch_speed(
         fall = grid[:-1] + np.sqrt(grid[:-1] ** 2 + 2.0 * GRAVITY * start[..., None])
         hit &= fall < GRAVITY * duration[..., None]
     away = np.where(hit, np.abs(grid[:-1] - wish[..., None]), np.inf)
-    low = grid[np.argmin(away, axis=-1)]
+    nearest = np.argmin(away, axis=-1)
+    low = grid[nearest]
     high = low + (grid[1] - grid[0])
-    rising = ~np.take_along_axis(over, np.argmin(away, axis=-1)[..., None], -1)[..., 0]
+    rising = ~np.take_along_axis(over, nearest[..., None], -1)[..., 0]
     for _ in range(40):
         middle = 0.5 * (low + high)
         too_low = (flown(start, middle, duration) > end) != rising
         low, high = np.where(too_low, middle, low), np.where(too_low, high, middle)
-    otherwise = np.nan if bouncing else throw
-    return np.asarray(np.where(hit.any(axis=-1), 0.5 * (low + high), otherwise))
+    fallback = np.nan if bouncing else throw
+    return np.asarray(np.where(hit.any(axis=-1), 0.5 * (low + high), fallback))
 
 
 # Guesses that suit the scripted motions and a ball of size 7.
-_ROOM = 0.12  # m: most room left between the ball and both hands
+_ROOM = 0.12  # m: largest total gap between the ball and both hands in a hold
 _SHORTEST_HOLD = 0.1  # s
-_STROKE = 0.1  # m: a hand that dribbles comes down at least so far
-_HIGHEST = 0.3  # m above the bottom of a stroke: where a hand meets the ball at most
+_STROKE = 0.1  # m: smallest depth of a dribbling stroke
+_HIGHEST = 0.3  # m above the bottom of a stroke: highest place to meet the ball
 _STROKE_HEIGHTS = (0.3, 1.2)  # m, of the hand at the bottom of a stroke
-_STROKE_TIME = 0.25  # s: two strokes that are nearer in time are one
-_LONGEST_FLIGHT = 0.9  # s from the bottom of a stroke until a hand has the ball back
-_THROW = 1.0  # m/s: hands over the head that rise faster throw the ball
-_LOW = 0.35  # m: a ball that is first taken below this had been lying on the floor
-_CATCH = 0.5  # weight of the misfit at the catch against that at the release
+_STROKE_TIME = 0.25  # s: strokes closer together in time count as one
+_LONGEST_FLIGHT = 0.9  # s from the bottom of a stroke to the catch
+_THROW = 1.0  # m/s: hands above the head that rise faster than this throw the ball
+_LOW = 0.35  # m: a ball first grasped below this was lying on the floor
+_CATCH = 0.5  # weight of the misfit at the catch relative to the release
 _BOTH = -1
 
 
 class Ending(Enum):
-    """How the ball leaves the hands."""
+    """The way in which the ball leaves the hands."""
 
     STROKE = "one hand pushes it to the floor"
     THROW = "both hands throw it"
@@ -134,7 +134,7 @@ class Ending(Enum):
 
 
 class _Event(NamedTuple):
-    """A hold from first to last frame, or the bottom of a stroke."""
+    """A hold from its first to its last frame, or the bottom of a stroke."""
 
     first: int
     last: int
@@ -143,70 +143,62 @@ class _Event(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Frames, both included, in which the ball is in the hands, not in flight."""
+    """Interval of frames, ends included, in which the ball is in the hands."""
 
     start: int
     end: int
-    catcher: int
-    """LEFT or RIGHT: the hand that has it before both have."""
-    thrower: int
-    """The hand that has it after both have."""
+    catcher: int  # hand (LEFT or RIGHT) that has the ball before both hands do
+    thrower: int  # hand that has the ball after both hands did
     ending: Ending
-    """How the ball leaves."""
 
 
-def holds(hands: Hands, radius: float) -> list[tuple[int, int, bool]]:
-    """Return first and last frame of holds with both hands, and if a throw ends them.
-
-    Without a throw a hold ends where the hands part.
-    """
+def _holds(hands: Hands, radius: float) -> list[_Event]:
+    """Return the two-handed holds, each ending at a throw or where the hands part."""
     near = hands.gap < 2.0 * (radius + hands.radius) + _ROOM
     rise = hands.speed[..., 2].mean(axis=1)
     fast = (rise > _THROW) & (hands.middle[:, 2] > hands.head)
-    found = []
+    events = []
     for run in runs(near, hands.frames(_SHORTEST_HOLD)):
         last, throws = run.stop - 1, runs(fast[run])
-        if throws:  # the ball leaves at the highest speed, the hands stay together
+        if throws:  # the ball leaves at the highest speed; the hands stay together
             start = run.start + throws[0].start
             last = start + int(np.argmax(rise[run][throws[0]]))
-        found.append((run.start, last, bool(throws)))
-    return found
+        events.append(_Event(run.start, last, _BOTH, bool(throws)))
+    return events
 
 
-def under(hands: Hands, hand: int, radius: float) -> Array:
-    """Center of a ball under one palm [m], not in the floor, shape (T, 3)."""
+def _under(hands: Hands, hand: int, radius: float) -> Array:
+    """Return the center of a ball under one palm, above the floor [m], (T, 3)."""
     center = hands.positions[:, hand].copy()
     center[:, 2] = np.maximum(center[:, 2] - hands.radius - radius, radius)
     return center
 
 
 def contacts(hands: Hands, radius: float) -> list[Contact]:
-    """Return when hands have the ball, in order of time.
-
-    Args:
-        hands: The hands.
-        radius: Radius of the ball [m].
-    """
+    """Return in order of time when hands have a ball of the given radius [m]."""
     events = _events(hands, radius)
-    found: list[Contact] = []
-    start = None if _lies_at_first(events, hands, radius) else 0
+    touches: list[Contact] = []
+    start: int | None = 0
+    hold_first = bool(events) and events[0].hand == _BOTH
+    if hold_first and hands.middle[events[0].first, 2] - radius < _LOW:
+        start = None  # the ball lies on the floor until the first hold
     hand = next((event.hand for event in events if event.hand != _BOTH), RIGHT)
     for event, following in zip_longest(events, events[1:]):
         if start is None:
-            start = _top(hands, event, found[-1].end + 1 if found else 0)
+            start = _top(hands, event, touches[-1].end + 1 if touches else 0)
         if event.hand != _BOTH:
             release, catch = _stroke(hands, start, event, following, radius)
-            found.append(Contact(start, release, hand, event.hand, Ending.STROKE))
+            touches.append(Contact(start, release, hand, event.hand, Ending.STROKE))
             start, hand = catch, _catcher(event, following)
         elif event.thrown or following is None or following.hand == _BOTH:
             ending = Ending.THROW if event.thrown else Ending.PART
-            found.append(Contact(start, event.last, hand, hand, ending))
+            touches.append(Contact(start, event.last, hand, hand, ending))
             start = None
-    return found
+    return touches
 
 
 def _top(hands: Hands, event: _Event, earliest: int) -> int:
-    """Return the first frame of a hold, or the one of a stroke where the hand is up."""
+    """Return the first frame of a hold, or the frame in which a stroke begins."""
     if event.hand == _BOTH:
         return event.first
     height, frame = hands.positions[:, event.hand, 2], event.first
@@ -216,16 +208,9 @@ def _top(hands: Hands, event: _Event, earliest: int) -> int:
     return frame
 
 
-def _lies_at_first(events: list[_Event], hands: Hands, radius: float) -> bool:
-    """Tell whether the ball lies on the floor until both hands take it."""
-    if not events or events[0].hand != _BOTH:
-        return False
-    return bool(hands.middle[events[0].first, 2] - radius < _LOW)
-
-
 def _events(hands: Hands, radius: float) -> list[_Event]:
     """Return holds and strokes in order of time."""
-    held = [_Event(a, b, _BOTH, thrown) for a, b, thrown in holds(hands, radius)]
+    held = _holds(hands, radius)
     bottoms = []
     for hand in (LEFT, RIGHT):
         height = hands.positions[:, hand, 2]
@@ -234,7 +219,7 @@ def _events(hands: Hands, radius: float) -> list[_Event]:
             if _STROKE_HEIGHTS[0] < height[k] < _STROKE_HEIGHTS[1]:
                 bottoms.append((float(depth), _Event(k, k, hand)))
     strokes: list[_Event] = []
-    for _, stroke in sorted(bottoms, reverse=True):  # the deeper one of two counts
+    for _, stroke in sorted(bottoms, reverse=True):  # the deeper of two strokes counts
         near = (abs(stroke.first - other.first) for other in strokes)
         free = not any(hold.first <= stroke.first <= hold.last for hold in held)
         if free and min(near, default=np.inf) > hands.frames(_STROKE_TIME):
@@ -243,7 +228,7 @@ def _events(hands: Hands, radius: float) -> list[_Event]:
 
 
 def _catcher(stroke: _Event, following: _Event | None) -> int:
-    """Return which hand gets the ball after a stroke."""
+    """Return the hand that gets the ball after a stroke."""
     if following is None or following.hand == _BOTH:
         return stroke.hand
     return following.hand
@@ -252,7 +237,7 @@ def _catcher(stroke: _Event, following: _Event | None) -> int:
 def _stroke(
     hands: Hands, start: int, stroke: _Event, following: _Event | None, radius: float
 ) -> tuple[int, int | None]:
-    """Return in which frame a stroke lets go, and in which a hand has the ball back."""
+    """Return the frame in which a stroke releases the ball, and that of the catch."""
     release = np.arange(_top(hands, stroke, start), stroke.first + 1)
     latest = stroke.first + hands.frames(_LONGEST_FLIGHT)
     latest = stroke.first if following is None else min(following.first - 1, latest)
@@ -271,13 +256,13 @@ def _best_flight(
     pair: tuple[int, int],
     radius: float,
 ) -> tuple[int, int | None]:
-    """Return the frames whose flight starts and ends nearest to the hands' speeds.
+    """Return the release and the catch at which a flight fits the hands' speeds best.
 
-    The ball bounces on its way; if it cannot, it is not caught.
+    The ball must bounce on its way; where it cannot, there is no catch.
     """
     before, after = np.meshgrid(release, catch, indexing="ij")
-    start = under(hands, pair[0], radius)[before, 2] - radius
-    end = under(hands, pair[1], radius)[after, 2] - radius
+    start = _under(hands, pair[0], radius)[before, 2] - radius
+    end = _under(hands, pair[1], radius)[after, 2] - radius
     duration = hands.time[after] - hands.time[before]
     thrown = hands.speed[before, pair[0], 2]
     speed = launch_speed(start, end, duration, thrown, bouncing=True)
@@ -290,15 +275,15 @@ def _best_flight(
     return int(release[i]), int(catch[j]) if np.isfinite(misfit[i, j]) else None
 
 
-_FLICK = 2.0  # what wrists and fingers make of the speed of a throw, a guess
-_BLEND = 0.08  # s: from under one hand to between both, standard deviation, a guess
+_FLICK = 2.0  # gain in speed from wrists and fingers in a throw: a guess
+_BLEND = 0.08  # s: standard deviation of the change from one hand to both: a guess
 
 
 def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
-    """Return where the center of the ball is [m], shape (T, 3).
+    """Return the path of the ball's center [m], shape (T, 3).
 
-    A ball that no hand touches stays where it is. One that is let go and not caught
-    bounces until it lies.
+    A ball that no hand touches stays in place. A ball that is released and not caught
+    bounces until it comes to rest.
 
     Args:
         hands: The hands.
@@ -319,23 +304,25 @@ def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
 
 
 def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
-    """Center of the ball [m] in every frame of a contact."""
+    """Return the center of the ball [m] in every frame of a contact."""
     both = np.zeros(len(hands.time))
-    for first, last, _ in holds(hands, radius):
-        both[first : last + 1] = 1.0
+    for hold in _holds(hands, radius):
+        both[hold.first : hold.last + 1] = 1.0
     span = slice(touch.start, touch.end + 1)
     caught = np.cumsum(both[span]) > 0.0
     share = gaussian_filter1d(both[span], _BLEND * hands.rate, mode="nearest")
-    one = np.where(
-        caught[:, None],
-        under(hands, touch.thrower, radius)[span],
-        under(hands, touch.catcher, radius)[span],
+    before, after = (
+        _under(hands, hand, radius)[span] for hand in (touch.catcher, touch.thrower)
     )
+    one = np.where(caught[:, None], after, before)
     return np.asarray(one + share[:, None] * (_between(hands, radius)[span] - one))
 
 
 def _between(hands: Hands, radius: float) -> Array:
-    """Center of a ball that both palms touch [m], before them if they are too near."""
+    """Return the center of a ball that both palms touch [m], (T, 3).
+
+    Where the palms are too close together the ball is in front of them.
+    """
     away = (radius + hands.radius) ** 2 - 0.25 * hands.gap**2
     center = hands.middle + np.sqrt(np.maximum(away, 0.0))[:, None] * hands.reach
     center[:, 2] = np.maximum(center[:, 2], radius)
@@ -343,7 +330,7 @@ def _between(hands: Hands, radius: float) -> Array:
 
 
 def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
-    """Let the ball lie where it will be taken, until then."""
+    """Have the ball lie on the floor where it will be grasped."""
     if taken == 0:
         return
     place = np.array([*path[taken, :2], radius])
@@ -353,8 +340,8 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
     path[:, 2] = np.maximum(path[:, 2], radius)
 
 
-def _letting_go(hands: Hands, touch: Contact) -> Array:
-    """Velocity [m/s] of what lets go of the ball at the end of a contact."""
+def _release_velocity(hands: Hands, touch: Contact) -> Array:
+    """Return the velocity [m/s] of the hand or hands that release the ball."""
     speed = hands.speed[touch.end]
     if touch.ending is Ending.STROKE:
         return np.asarray(speed[touch.thrower])
@@ -364,20 +351,22 @@ def _letting_go(hands: Hands, touch: Contact) -> Array:
 
 def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -> None:
     """Fill in the flight from the end of a contact to the frame of the next catch."""
-    time = hands.time[touch.end : catch + 1] - hands.time[touch.end]
+    flight = slice(touch.end, catch + 1)
+    time = hands.time[flight] - hands.time[touch.end]
     start, end = path[touch.end].copy(), path[catch].copy()
-    low, high, wish = start[2] - radius, end[2] - radius, _letting_go(hands, touch)[2]
+    low, high = start[2] - radius, end[2] - radius
+    wish = _release_velocity(hands, touch)[2]
     stroke = touch.ending is Ending.STROKE
     speed = launch_speed(low, high, time[-1], wish, bouncing=stroke)
     if np.isnan(speed):
         speed = launch_speed(low, high, time[-1], wish)
-    path[touch.end : catch + 1] = start + (time / time[-1])[:, None] * (end - start)
-    path[touch.end : catch + 1, 2] = radius + flown(low, speed, time)
+    path[flight] = start + (time / time[-1])[:, None] * (end - start)
+    path[flight, 2] = radius + flown(low, speed, time)
 
 
 def _let_go(path: Array, hands: Hands, last: Contact, radius: float) -> None:
-    """Fill in the flight of a ball that nobody catches."""
-    start, speed = path[last.end].copy(), _letting_go(hands, last)
+    """Fill in the flight of a ball that no one catches."""
+    start, speed = path[last.end].copy(), _release_velocity(hands, last)
     time = hands.time[last.end :] - hands.time[last.end]
     low, up = float(start[2] - radius), float(speed[2])
     path[last.end :] = start + rolled(low, up, time)[:, None] * speed

@@ -1,7 +1,7 @@
-"""Keeps scripted hands and forearms out of head, trunk, legs, floor and each other.
+"""Clearance of scripted hands and forearms: head, trunk, legs, floor, the other arm.
 
-A script says where a hand goes, not what is in its way. Where a forearm or hand would
-be inside another part by more than soft tissue gives, the hand is moved out by the
+A script defines where a hand goes, regardless of obstacles. Where a forearm or hand
+would penetrate another part by more than soft tissue allows, the hand is moved out the
 shortest way, and the arm follows.
 """
 
@@ -21,42 +21,34 @@ from .poses import LEFT, RIGHT, Pose
 from .puppet import Puppet
 
 _TISSUE = 0.01  # m that two parts may overlap: skin and clothes give way
-_BLURS, _ROUNDS = 2, 3  # how often an arm is moved and then made smooth
-_SMOOTHING = 0.1  # s, standard deviation of the blur of the way out
-_MOST_STRETCHED = 2.0  # ways out that turn round cancel in the blur: not made good
+_BLURS, _ROUNDS = 2, 3  # passes of smoothing, and displacements in each pass
+_SMOOTHING = 0.1  # s, standard deviation of the blur of the displacements
+# Opposite displacements cancel in the blur; it is amplified by at most this factor.
+_MOST_STRETCHED = 2.0
 _UP = np.array([0.0, 1.0, 0.0])
-_SHARES = np.linspace(0.25, 1.0, 4)  # places on forearm and hand that are looked at
+_SHARES = np.linspace(0.25, 1.0, 4)  # points along forearm and hand that are checked
 _LEGS = ("Knee", "Ankle")
 _FOREARM = ("Wrist", "Hand")
 
 
 def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
-    """Return a motion whose hands and forearms are outside of the other parts.
-
-    Args:
-        puppet: Who moves.
-        pose: The motion, with one leading axis of frames.
-        fps: Frames per second.
-    """
+    """Return a motion (one axis of frames) with the arms moved out of other parts."""
     for _ in range(_BLURS):
         scripted = pose
         for _ in range(_ROUNDS):
-            positions = puppet.solve(pose)[1]
-            pushes = [
-                _smooth(_way_out(puppet, positions, side), fps)
-                for side in (LEFT, RIGHT)
-            ]
-            if not any(push.any() for push in pushes):
-                break
-            for side, push in enumerate(pushes):
+            before, positions = pose, puppet.solve(pose)[1]
+            for side in (LEFT, RIGHT):
+                push = _smooth(_displacement(puppet, positions, side), fps)
                 if push.any():
                     pose = _pushed(puppet, pose, positions, side, push)
-        pose = _without_jerks(scripted, pose, fps)
+            if pose is before:
+                break
+        pose = _smoothed(scripted, pose, fps)
     return pose
 
 
-def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
-    """Return the vector [m] that brings an arm out of what it is deepest in, (T, 3)."""
+def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
+    """Return the vector [m] that frees an arm from its deepest overlap, (T, 3)."""
     body, index = puppet.body, puppet.body.skeleton.index
     elbow, wrist, hand = (
         positions[:, index(part + SIDES[side])] for part in ("Elbow", "Wrist", "Hand")
@@ -67,7 +59,7 @@ def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
     )
     ends = [index(part + SIDES[side]) for part in _FOREARM]
     radii = np.repeat(body.radii[ends], len(_SHARES))[:, None]
-    each = np.arange(len(positions))
+    frames = np.arange(len(positions))
     deepest = (radii - points[..., 1]).max(axis=0).clip(min=0.0)
     out = deepest[:, None] * _UP
     for end, share in _obstacles(body.skeleton, side):
@@ -75,23 +67,24 @@ def _way_out(puppet: Puppet, positions: Array, side: int) -> Array:
         distance = np.sqrt(np.einsum("ptk,ptk->pt", away, away))
         depth = radii + body.radii[end] - _TISSUE - distance
         worst = depth.argmax(axis=0)
-        deep = depth[worst, each]
+        deep = depth[worst, frames]
         if not (deep > deepest).any():
             continue
-        way = away[worst, each] / np.maximum(distance[worst, each], 1e-6)[:, None]
-        # Deep inside, the shortest way turns round from frame to frame; up does not.
+        near = np.maximum(distance[worst, frames], 1e-6)[:, None]
+        line = away[worst, frames] / near
+        # Deep inside, the shortest way can reverse between frames; add an upward part.
         if share == 1.0:
-            way = way + (deep / (radii.max() + body.radii[end]))[:, None] * _UP
-        way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
-        out = np.where((deep > deepest)[:, None], share * deep[:, None] * way, out)
+            line = line + (deep / (radii.max() + body.radii[end]))[:, None] * _UP
+        line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-6)
+        out = np.where((deep > deepest)[:, None], share * deep[:, None] * line, out)
         deepest = np.maximum(deep, deepest)
     return np.asarray(out)
 
 
 def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
-    """Return the parts an arm stays out of, and its share of the way they go apart.
+    """Return the parts an arm must clear, and its share of the displacement.
 
-    A part is named by the joint it ends at; the two arms share the way.
+    A part is given by the joint at its end. Two arms each move by half.
     """
     trunk = skeleton.up_from(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
@@ -100,7 +93,7 @@ def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
 
 
 def _from_axis(skeleton: Skeleton, positions: Array, end: int, points: Array) -> Array:
-    """Return the vectors [m] from a part's axis to points (P, T, 3), likewise."""
+    """Return the vectors [m] from a part's axis to points, both (P, T, 3)."""
     start = positions[:, skeleton.parents[end]]
     axis = positions[:, end] - start
     gap = points - start
@@ -109,22 +102,22 @@ def _from_axis(skeleton: Skeleton, positions: Array, end: int, points: Array) ->
 
 
 def _smooth(push: Array, fps: float) -> Array:
-    """Spread a way out over time, at least as long as it was where it was needed."""
+    """Spread a displacement over time, keeping its length where it was needed."""
     length = np.linalg.norm(push, axis=1)
     if not length.any():
         return push
     width = max(1, round(_SMOOTHING * fps))
     longest = maximum_filter1d(length, 4 * width + 1)
     longest = gaussian_filter1d(longest, width, radius=2 * width)
-    way = gaussian_filter1d(push, width, axis=0, radius=6 * width)
-    norm = np.maximum(np.linalg.norm(way, axis=1), 1e-12)
-    return np.asarray(way * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
+    blurred = gaussian_filter1d(push, width, axis=0, radius=6 * width)
+    norm = np.maximum(np.linalg.norm(blurred, axis=1), 1e-12)
+    return np.asarray(blurred * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
 
 
 def _pushed(
     puppet: Puppet, pose: Pose, positions: Array, side: int, push: Array
 ) -> Pose:
-    """Return the motion with one hand moved by ``push`` [m], the elbow as it was."""
+    """Return the motion with one hand moved by ``push`` [m], elbow direction kept."""
     index = puppet.body.skeleton.index
     shoulder, elbow, wrist = (
         positions[:, index(part + SIDES[side])]
@@ -142,8 +135,8 @@ def _pushed(
     return replace(pose, arm=arms, elbow=elbows)
 
 
-def _without_jerks(before: Pose, after: Pose, fps: float) -> Pose:
-    """Blur arms over time where they were moved."""
+def _smoothed(before: Pose, after: Pose, fps: float) -> Pose:
+    """Blur the arms over time where they were moved."""
     width = _SMOOTHING / 2.0 * fps
     moved = np.any(before.arm != after.arm, axis=-1)
     share = gaussian_filter1d(moved.astype(float), width, axis=0)[..., None]

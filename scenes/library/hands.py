@@ -1,4 +1,4 @@
-"""What the hands of a performer do, as props feel it, in MuJoCo's world (z up)."""
+"""Hands of a performer in MuJoCo's world (z up), for the props that follow them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from kinefilter.characters import Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.characters.rotations import rotate, wxyz_from_matrix
+from kinefilter.characters.rotations import rotate, unit, wxyz_from_matrix
 from kinefilter.retarget.stance import smooth_step
 
 
@@ -18,30 +18,20 @@ from kinefilter.retarget.stance import smooth_step
 class Hands:
     """Both hands over time, left before right."""
 
-    time: Array
-    """Time [s], shape (T,)."""
-    positions: Array
-    """Hand joints [m], shape (T, 2, 3)."""
-    elbows: Array
-    """Elbow joints [m], shape (T, 2, 3)."""
-    root: Array
-    """Root joint [m], shape (T, 3)."""
-    head: Array
-    """Height of the head joint [m], shape (T,)."""
-    forward: Array
-    """Where the pelvis faces, unit vectors, shape (T, 3)."""
-    radius: float
-    """Radius of a hand [m]."""
+    time: Array  # [s], shape (T,)
+    positions: Array  # hand joints [m], shape (T, 2, 3)
+    elbows: Array  # elbow joints [m], shape (T, 2, 3)
+    root: Array  # root joint [m], shape (T, 3)
+    head: Array  # height of the head joint [m], shape (T,)
+    forward: Array  # direction that the pelvis faces, unit vectors, shape (T, 3)
+    radius: float  # of a hand [m]
 
     @classmethod
     def of(cls, motion: Motion) -> Hands:
         """Return the hands of a motion."""
         skeleton = motion.skeleton
         positions = to_mujoco(motion.positions)
-        hand, elbow = (
-            [skeleton.index(f"{stem}{side}") for side in ("Left", "Right")]
-            for stem in ("Hand", "Elbow")
-        )
+        hand, elbow = skeleton.sides("Hand"), skeleton.sides("Elbow")
         pelvis = to_mujoco(motion.rotations[:, skeleton.root])
         return cls(
             time=motion.time,
@@ -60,7 +50,7 @@ class Hands:
         return (len(self.time) - 1) / span if span > 0.0 else 30.0
 
     def frames(self, seconds: float) -> int:
-        """Return how many frames a duration [s] is, at least one."""
+        """Return the number of frames in a duration [s], at least one."""
         return max(1, round(seconds * self.rate))
 
     @cached_property
@@ -82,24 +72,24 @@ class Hands:
 
     @cached_property
     def ahead(self) -> Array:
-        """How far the middle is in front of the root joint [m], shape (T,)."""
+        """Distance of the middle in front of the root joint [m], shape (T,)."""
         return np.asarray(np.sum((self.middle - self.root) * self.forward, axis=-1))
 
     @cached_property
     def reach(self) -> Array:
-        """Unit vectors along the forearms and across the hands' line, shape (T, 3)."""
-        way = (self.positions - self.elbows).mean(axis=1)
-        line = _unit(self._line)
-        return _unit(way - np.sum(way * line, axis=-1, keepdims=True) * line)
+        """Mean direction of the forearms, across the hands' line, shape (T, 3)."""
+        forearms = (self.positions - self.elbows).mean(axis=1)
+        line = unit(self._line)
+        return unit(forearms - np.sum(forearms * line, axis=-1, keepdims=True) * line)
 
     @cached_property
     def turn(self) -> Array:
-        """Rotation, wxyz, of what both hands hold level, shape (T, 4).
+        """Rotation, wxyz, of an object that both hands hold level, shape (T, 4).
 
         Its y axis points from the right hand to the left.
         """
-        y = _unit(self._line)
-        x = _unit(np.cross(y, np.array([0.0, 0.0, 1.0])))
+        y = unit(self._line)
+        x = unit(np.cross(y, np.array([0.0, 0.0, 1.0])))
         return wxyz_from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
 
     @property
@@ -108,12 +98,8 @@ class Hands:
 
 
 def fading(time: Array) -> Array:
-    """Return what is left of an offset, smoothly from 1 at 0 s to 0 at 0.3 s.
+    """Return a weight that falls smoothly from 1 at 0 s to 0 at 0.3 s.
 
-    0.3 s is a guess: quick enough for a grasp, slow enough not to show.
+    0.3 s is a guess: quick enough for a grasp, slow enough not to be noticed.
     """
     return 1.0 - smooth_step(time / 0.3)
-
-
-def _unit(v: Array) -> Array:
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9))

@@ -1,8 +1,8 @@
-"""Where the movable props of a scene are while somebody performs in it.
+"""Motion of a scene's movable props during a performance.
 
 A box is carried while the hands are about its width apart and in front of the body. It
-is lifted where they are lowest before they rise, and set down where they are lowest
-before they part.
+is lifted where the hands are lowest before they rise, and set down where they are
+lowest before they part.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ Support = Callable[[Array], float]
 
 # Guesses that suit the scripted motions.
 _GRIP = (0.5, 1.6)  # distance of the hand joints, as a share of the box's width
-_AHEAD = 0.25  # m, in front of the root joint: hands that hang hold nothing
+_AHEAD = 0.25  # m in front of the root joint: hanging hands hold nothing
 _SHORTEST_CARRY = 0.4  # s
-_STIR = 0.03  # m: a rise by which lifting shows
-_ARM = 0.35  # m: the hands take only what is so near, and set down from so low
+_STIR = 0.03  # m: smallest rise of the hands that counts as lifting
+_ARM = 0.35  # m: largest distance from which the hands grasp a box or set it down
 
 
 def box_path(hands: Hands, size: Array, rest: Array, support: Support) -> Array:
     """Return position [m] and rotation wxyz of the box, shape (T, 7).
 
-    Until it is first lifted, the box lies under the place where that will be, or is in
-    the hands from the start if that is in the air. Let go in the air, it falls.
+    Until it is first lifted, the box lies below the place of the lift; if that is in
+    the air, the hands hold it from the start. A box released in the air falls.
 
     Args:
         hands: The hands.
         size: Half extents of the box [m], y between the hands, shape (3,).
         rest: Pose of the untouched box, shape (7,).
-        support: Height [m] of what is under a point.
+        support: Function that returns the height [m] of the surface below a point.
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     for number, (lift, drop) in enumerate(_carries(hands, size)):
@@ -53,7 +53,9 @@ def box_path(hands: Hands, size: Array, rest: Array, support: Support) -> Array:
         elif np.linalg.norm(hands.middle[lift] - lying[:3]) > _ARM:
             continue
         path[lift:] = _carried(hands, lying, lift, drop, size, support)[lift:]
-    path[:, 2] = np.maximum(path[:, 2], _half_height(path[:, 3:], size))
+    # The center of a tilted box is at least this high above the floor.
+    half_height = np.abs(matrix_from_wxyz(path[:, 3:])[:, 2]) @ size
+    path[:, 2] = np.maximum(path[:, 2], half_height)
     return path
 
 
@@ -72,19 +74,19 @@ def _carries(hands: Hands, size: Array) -> list[tuple[int, int]]:
 
 
 def _bottom(height: Array) -> int:
-    """Index of the lowest point before the first clear rise."""
+    """Return the index of the lowest point before the first clear rise."""
     lowest = np.minimum.accumulate(height)
     rises = np.flatnonzero(height > lowest + _STIR)
     return int(np.argmin(height[: rises[0] + 1])) if len(rises) else 0
 
 
 def _held(hands: Hands) -> Array:
-    """Pose of the box between the hands, level along the body, shape (T, 7)."""
+    """Return the pose of a box held level between the hands, shape (T, 7)."""
     return np.concatenate([hands.middle, hands.turn], axis=-1)
 
 
 def _laid(hands: Hands, frame: int, size: Array, support: Support) -> Array:
-    """Pose of the box on what is under the hands, upright, shape (7,)."""
+    """Return the pose of the box upright on the surface below the hands, shape (7,)."""
     x, y, z, *turn = _held(hands)[frame]
     upright = normalize(np.array([turn[0], 0.0, 0.0, turn[3]]))
     return np.array([x, y, support(np.array([x, y, z])) + size[2], *upright])
@@ -93,7 +95,7 @@ def _laid(hands: Hands, frame: int, size: Array, support: Support) -> Array:
 def _carried(
     hands: Hands, lying: Array, lift: int, drop: int, size: Array, support: Support
 ) -> Array:
-    """Pose of a box that is lifted and put down again, right from the lift on."""
+    """Return the poses of a box that is lifted and set down, valid from the lift on."""
     held, time = _held(hands), hands.time
     landed = _laid(hands, drop, size, support)
     fall = held[drop, 2] - landed[2]
@@ -109,29 +111,21 @@ def _carried(
 
 
 def _off(wanted: Array, held: Array) -> Array:
-    """Difference of two poses, the quaternions of one hemisphere, shape (7,)."""
+    """Return the difference of two poses, quaternions in one hemisphere, shape (7,)."""
     sign = np.ones(7)
     sign[3:] = 1.0 if wanted[3:] @ held[3:] >= 0.0 else -1.0
     return np.asarray(sign * wanted - held)
 
 
-def _half_height(turn: Array, size: Array) -> Array:
-    """Height [m] of the center of a turned box that touches the floor, shape (T,)."""
-    return np.asarray(np.abs(matrix_from_wxyz(turn)[:, 2]) @ size)
-
-
 def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
-    """Return the names of the movable props: bodies with a free joint.
+    """Return the names of the movable props: the bodies with a free joint.
 
-    The character also has one; it is known by its targets.
+    The character also has a free joint; it is recognized by its target body.
     """
     bodies = {body.name for body in scene.bodies}
-    free = (
-        joint.parent.name
-        for joint in scene.joints
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE
-    )
-    return tuple(name for name in free if f"target:{name}" not in bodies)
+    free = mujoco.mjtJoint.mjJNT_FREE
+    names = (joint.parent.name for joint in scene.joints if joint.type == free)
+    return tuple(name for name in names if f"target:{name}" not in bodies)
 
 
 def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
@@ -139,12 +133,12 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
 
     A pose is the position [m] and the rotation wxyz of the prop's body in MuJoCo's
     world. A box is carried between both hands; a sphere is held, dribbled and thrown;
-    every other prop stays where it is. The props follow the hands and have no say in
-    what the performer does.
+    every other prop stays in place. The props follow the hands and do not affect the
+    performer.
 
     Args:
         scene: The scene; a character in it is ignored.
-        motion: What is done in it.
+        motion: The performance.
     """
     model = scene.copy().compile()
     hands = Hands.of(motion)
@@ -164,8 +158,8 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
     return poses
 
 
-def _support(scene: mujoco.MjSpec) -> Callable[[Array], float]:
-    """Return what gives the height of what stands still under a point [m]."""
+def _support(scene: mujoco.MjSpec) -> Support:
+    """Return a function for the height [m] of the static surface below a point."""
     room = scene.copy()
     for body in list(room.worldbody.bodies):
         if body.joints or body.mocap:

@@ -1,4 +1,4 @@
-"""Made-up people: bodies of the statures, builds and masses that there are."""
+"""Synthetic people with realistic statures, builds and masses."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.
 # 2014, 2012 Anthropometric Survey of U.S. Army Personnel, Natick/TR-15/007), rounded.
 _STATURES = ((1.756, 0.069), (1.629, 0.064))
-# Standard deviation of segment lengths among people of one stature, as a share. Rounded
-# from the same survey's coefficients of variation, sitting height 4 %, arm and leg
-# segments 5 %, biacromial breadth 4.6 %; how much of it is left at one stature is a
-# guess.
+# Relative standard deviation of segment lengths among people of the same stature. Based
+# on the same survey's coefficients of variation among all statures (sitting height 4 %,
+# arm and leg segments 5 %, biacromial breadth 4.6 %); the share that remains at one
+# stature is a guess.
 _BUILD = {"trunk": 0.03, "Shoulder": 0.04, "Hip": 0.05}
 _BUILD |= dict.fromkeys(("Elbow", "Wrist", "Knee", "Ankle"), 0.03)
-_MASS_INDEX = (23.5, 2.5)  # kg/m^2, mean and standard deviation, a guess of the slim
+_MASS_INDEX = (23.5, 2.5)  # kg/m^2: mean and standard deviation, a guess
 
 
 def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
-    """Return the body of somebody: stature, build and mass drawn.
+    """Draw the stature, build and mass of a person and return the body.
 
-    Left and right are alike. The same draws give the same person on every skeleton.
+    The body is symmetric. The same draws give the same person on every skeleton.
     """
     check_kind(rng, np.random.Generator, "rng")
     mean, deviation = _STATURES[int(rng.integers(2))]

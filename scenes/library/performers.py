@@ -1,8 +1,8 @@
 """Scripted performers: seeded human motions on any body, with known rotations.
 
-Every motion is a family: a seed draws its amplitude, tempo, sides, stance and style,
-and no repetition within a performance equals another. They are imagined motions, not
-recordings: ranges of motion are those of healthy adults, the timing is plausible.
+Each motion is a family: the seed determines amplitude, tempo, sides, stance and style,
+and the repetitions within a performance differ. The motions are designed, not recorded:
+ranges of motion are those of healthy adults, and the timing is plausible.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from zlib import crc32
 import numpy as np
 
 from kinefilter.characters import Body, InputError, Motion
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, check_word
 from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
 from .clearance import clear_arms
-from .exercises import EXERCISES, LYMPH_FLOW
+from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
 from .poses import LEFT, RIGHT, Pose, Rng, Score, within_ranges
@@ -28,14 +28,14 @@ from .puppet import Puppet
 from .sports import SPORTS
 from .stances import stance
 
-_SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | LYMPH_FLOW | SPORTS | PROP_MOTIONS
+_SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | SPORTS | PROP_MOTIONS
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
 """Names of the motions that ``perform`` knows.
 
-Of some there are two: as people do them by themselves (squat, lunge, step_over, sit,
-raise_leg), and as an exercise that holds the arms and is often done wrong (deep_squat,
-inline_lunge, hurdle_step, sit_to_stand, leg_raise).
+Some come in two versions: as people move of their own accord (squat, lunge, step_over,
+sit, raise_leg), and as an exercise with a prescribed arm position that is often done
+wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise).
 """
 
 _EXTRA_WIDTH = {
@@ -53,21 +53,21 @@ _EXTRA_WIDTH = {
     "squat": 0.9,
     "swing": 0.3,
 }
-"""Hip widths by which people stand wider or narrower for a motion."""
+"""Extra distance between the feet, in hip widths, by motion."""
 
-_CLOSER = -0.25
-"""Hip widths by which the others differ: feet 11 to 29 cm apart."""
+_USUAL_EXTRA_WIDTH = -0.25
+"""The same for all other motions: the feet are 11 to 29 cm apart."""
 
 _STAGGERED = {*GESTURES, "dance", "dodge"}
-"""Motions that people do with one foot in front, too."""
+"""Motions that are also performed with one foot in front."""
 
 _HIPS_AHEAD = (0.035, 0.02)
-"""Mean and standard deviation [m] of the hips before the ankles in quiet standing: the
-line of gravity passes about 5 cm before the ankles and just behind the hips (Winter
-1995, Gait Posture 3(4))."""
+"""Mean and standard deviation of how far [m] the hips are in front of the ankles in
+quiet standing: the line of gravity passes about 5 cm in front of the ankles and just
+behind the hips (Winter 1995, Gait Posture 3(4))."""
 
 _TRUNK_TILT = (-0.03, 0.05)
-"""Mean and standard deviation [rad] of the trunk's tilt in standing, a guess."""
+"""Mean and standard deviation of the trunk's tilt [rad] in standing, a guess."""
 
 _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
@@ -75,24 +75,24 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 def perform(
     name: str, body: Body, *, seed: int, fps: float = 30.0, within: Area | None = None
 ) -> Motion:
-    """Return one performance of a motion, of 5 s or more: its last movement ends.
+    """Return one performance of a motion; it lasts at least 5 s.
 
-    The character starts near the origin of the world and faces +z; with ``within`` it
-    starts where its loop does.
+    The last movement is always complete. The character starts near the origin of the
+    world, facing +z, or with ``within`` at the start of its loop.
 
     Args:
         name: One of MOTIONS.
-        body: Who performs, on any skeleton kinefilter knows.
-        seed: Draws style, tempo and sides; the same seed gives the same arrays.
+        body: The performer's body, on any skeleton kinefilter knows.
+        seed: Determines style, tempo and sides; the same seed gives the same arrays.
         fps: Frames per second.
-        within: Where the root stays in gaits (carry, march, run, walk), which then go
-            around in it with shorter steps; by default they go straight ahead. Other
-            motions are the same with it.
+        within: Area in which the root stays in gaits (carry, march, run, walk), which
+            then go around it with shorter steps; by default they go straight ahead.
+            Other motions ignore it.
 
     Raises:
-        InputError: There is no motion of that name.
+        InputError: There is no motion with that name.
     """
-    _check(name, MOTIONS)
+    check_word(name, MOTIONS, "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
     puppet = Puppet(body)
     length = rng.uniform(5.0, 9.0)
@@ -100,50 +100,49 @@ def perform(
         time = np.arange(0.0, length, 1.0 / fps)
         pose = gait(name, puppet, rng, time, within)
     else:
-        base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, _CLOSER))
+        base = stance(puppet, rng, wide=_EXTRA_WIDTH.get(name, _USUAL_EXTRA_WIDTH))
         ahead = rng.normal(*_HIPS_AHEAD) * puppet.scale
         tilt = float(rng.normal(*_TRUNK_TILT))
-        base = base.leaning(back=-float(ahead), pelvis=(0.0, tilt, 0.0))
-        base = _as_one_stands(name, puppet, base, rng)
+        base = base.leaning(back=-float(ahead), pelvis=tilt)
+        base = _varied(name, puppet, base, rng)
         time, pose = _SCRIPTS[name](puppet, rng, base, length).sample(fps)
-    pose = within_ranges(_alive(pose, time, rng))
+    pose = within_ranges(_swaying(pose, time, rng))
     pose = clear_arms(puppet, pose, fps)
-    return _performed(name, puppet, time, pose)
+    return _motion(name, puppet, time, pose)
 
 
-def _as_one_stands(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
-    """Return a stance with arms hanging as they like and perhaps a foot in front."""
+def _varied(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
+    """Vary a stance: the way the arms hang and, in some motions, one foot in front."""
     u = rng.uniform
     for side in (LEFT, RIGHT):
         arm = puppet.arm(u(0.1, 0.3), u(-1.0, 0.9), u(0.0, 0.7), u(0.1, 0.6))
         base = base.with_arm(side, arm)
     if name not in _STAGGERED or (name in GESTURES and rng.random() < 0.5):
         return base
-    way, step = int(rng.choice([-1, 1])), u(0.1, 0.6) * puppet.leg
+    sign, step = int(rng.choice([-1, 1])), u(0.1, 0.6) * puppet.leg
     ankle = base.ankle.copy()
-    ankle[:, 2] += np.array([0.5, -0.5]) * way * step
+    ankle[:, 2] += np.array([0.5, -0.5]) * sign * step
     drop = puppet.leg - np.sqrt(puppet.leg**2 - (step / 2.0) ** 2)
-    base = replace(base, ankle=ankle)
-    return base.leaning(
+    return replace(base, ankle=ankle).leaning(
         drop=float(drop) + u(0.0, 0.06) * puppet.leg,
-        pelvis=(-0.3 * way * step, 0.0, 0.0),
+        pelvis=(-0.3 * sign * step, 0.0, 0.0),
     )
 
 
 def perform_medley(
     parts: Sequence[tuple[str, float]], body: Body, *, seed: int
 ) -> Motion:
-    """Return several motions one after another on feet that stay where they are.
+    """Return several motions on the spot, one after another, at 30 frames per second.
 
-    30 frames a second. Unlike those of ``perform``, arms may go through the body.
+    Unlike in ``perform``, arms may pass through the body.
 
     Args:
-        parts: Names of motions on the spot, and the least duration of each [s].
-        body: Who performs, on any skeleton kinefilter knows.
-        seed: Draws style, tempo and sides; the same seed gives the same arrays.
+        parts: Names of motions on the spot, and the minimum duration of each [s].
+        body: The performer's body, on any skeleton kinefilter knows.
+        seed: Determines style, tempo and sides; the same seed gives the same arrays.
 
     Raises:
-        InputError: A name is not one of a motion on the spot, or there is no part.
+        InputError: A name is not that of a motion on the spot, or there are no parts.
     """
     if not parts:
         raise InputError("a medley needs at least one motion")
@@ -151,23 +150,21 @@ def perform_medley(
     base = stance(puppet, rng, wide=0.4)
     score = Score(base)
     for name, seconds in parts:
-        _check(name, MOTIONS)
+        check_word(name, MOTIONS, "motion")
         if name in GAITS:
-            known = ", ".join(sorted(_SCRIPTS))
-            raise InputError(f"{name!r} leaves its place; a medley takes {known}")
+            allowed = ", ".join(sorted(_SCRIPTS))
+            raise InputError(
+                f"{name!r} does not stay on the spot, so a medley cannot contain it; "
+                f"choose from {allowed}"
+            )
         score.append(_SCRIPTS[name](puppet, rng, base, seconds))
         score.to(0.4, base)
     time, pose = score.sample(30.0)
     name = " ".join(name for name, _ in parts)
-    return _performed(name, puppet, time, _alive(pose, time, rng))
+    return _motion(name, puppet, time, _swaying(pose, time, rng))
 
 
-def _check(name: str, known: tuple[str, ...]) -> None:
-    if name not in known:
-        raise InputError(f"unknown motion {name!r}; known: {', '.join(known)}")
-
-
-def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
+def _motion(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     rotations, positions = puppet.solve(pose)
     return Motion(
         time=time,
@@ -178,8 +175,8 @@ def _performed(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     )
 
 
-def _alive(pose: Pose, time: Array, rng: Rng) -> Pose:
-    """Add the small sway of a living body to everything but the feet."""
+def _swaying(pose: Pose, time: Array, rng: Rng) -> Pose:
+    """Add the small sway of a living body to everything except the feet."""
 
     def sway(*shape: int) -> Array:
         weights = rng.normal(0.0, 0.6, (3, *shape))

@@ -1,6 +1,6 @@
-"""What a performer is asked to look like: a pose, and poses in time.
+"""Poses of a performer, and sequences of poses in time.
 
-Ranges of joints are active ones of healthy adults after the American Academy of
+Joint ranges are the active ranges of healthy adults after the American Academy of
 Orthopaedic Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed.,
 appendix B.
 """
@@ -17,12 +17,12 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
+Angles = float | tuple[float, float, float]
 LEFT, RIGHT, BOTH = 0, 1, slice(None)
 """Sides of a pose."""
 
-_ARMS = (12, 20)  # where ``Pose.flat`` keeps the quaternions
 _SMOOTHING = 0.05
-"""Standard deviation [s] of the blur that rounds the joins between key poses."""
+"""Standard deviation [s] of the blur that rounds the motion at the key poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,52 +32,20 @@ class Pose:
     Axes of sides are (left, right). World frame: y up, floor y = 0, facing +z.
     """
 
-    root: Array
-    """Wanted position of the root joint [m], (..., 3); height is cut to leg reach."""
-    pelvis: Array
-    """Yaw to the left, tilt forward, lean to the left, (..., 3)."""
-    spine: Array
-    """Flexion, bend to the left, axial rotation to the left, (..., 3)."""
-    head: Array
-    """The same three of head against thorax, (..., 3)."""
-    arm: Array
-    """Upper arm against thorax, wxyz, written for a left arm, (..., 2, 4)."""
-    elbow: Array
-    """Elbow flexion, (..., 2)."""
-    hand: Array
-    """Pronation of the hand about the forearm and wrist flexion, (..., 2, 2)."""
-    ankle: Array
-    """Ankle [m] of the foot if it stood flat, world frame, (..., 2, 3)."""
-    foot: Array
-    """Yaw in the world and heel rise (pitch about the toes), (..., 2, 2)."""
-    lifted: Array
-    """0: the foot stands on the floor; 1: it hangs from the shank, (..., 2)."""
-    knee_out: Array
-    """Rotation of the knee outward beyond the foot's direction, (..., 2)."""
-
-    def flat(self) -> Array:
-        """Return all channels side by side, (..., 40)."""
-        lead = self.root.shape[:-1]
-        return np.concatenate(
-            [getattr(self, f.name).reshape(*lead, -1) for f in fields(self)], axis=-1
-        )
-
-    def unflat(self, channels: Array) -> Pose:
-        """Return the pose whose ``flat`` is ``channels``, quaternions made unit."""
-        values, start = {}, 0
-        for f in fields(self):
-            shape = getattr(self, f.name).shape[self.root.ndim - 1 :]
-            stop = start + int(np.prod(shape))
-            part = channels[..., start:stop]
-            values[f.name] = part.reshape(*channels.shape[:-1], *shape)
-            start = stop
-        values["arm"] = values["arm"] / np.linalg.norm(
-            values["arm"], axis=-1, keepdims=True
-        )
-        return Pose(**values)
+    root: Array  # desired root joint [m], (..., 3); the legs' reach limits its height
+    pelvis: Array  # yaw to the left, tilt forward, lean to the left, (..., 3)
+    spine: Array  # flexion, bend and axial rotation to the left, (..., 3)
+    head: Array  # the same angles of the head relative to the thorax, (..., 3)
+    arm: Array  # upper arm relative to the thorax, wxyz, as for a left arm, (..., 2, 4)
+    elbow: Array  # flexion, (..., 2)
+    hand: Array  # pronation about the forearm, wrist flexion, (..., 2, 2)
+    ankle: Array  # place [m] while the foot is flat, world frame, (..., 2, 3)
+    foot: Array  # yaw in the world, heel rise (pitch about the toes), (..., 2, 2)
+    lifted: Array  # 0: the foot is planted; 1: it hangs from the shank, (..., 2)
+    knee_out: Array  # outward rotation of the knee relative to the foot, (..., 2)
 
     def with_arm(self, side: int | slice, arm: tuple[Array, Array]) -> Pose:
-        """Return the pose with another (upper arm, elbow) on one side, or on BOTH."""
+        """Return the pose with a new (upper arm, elbow) on one side or on BOTH."""
         arms, elbows = self.arm.copy(), self.elbow.copy()
         arms[..., side, :], elbows[..., side] = arm
         return replace(self, arm=arms, elbow=elbows)
@@ -88,11 +56,20 @@ class Pose:
         drop: float = 0.0,
         back: float = 0.0,
         side: float = 0.0,
-        pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        spine: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        head: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        pelvis: Angles = 0.0,
+        spine: Angles = 0.0,
+        head: Angles = 0.0,
     ) -> Pose:
-        """Return the pose with the root moved [m] and trunk angles [rad] added."""
+        """Return the pose with the root moved [m] and trunk angles [rad] added.
+
+        A single number is a forward tilt of the pelvis or a flexion of spine or head.
+        """
+        if not isinstance(pelvis, tuple):
+            pelvis = (0.0, pelvis, 0.0)
+        if not isinstance(spine, tuple):
+            spine = (spine, 0.0, 0.0)
+        if not isinstance(head, tuple):
+            head = (head, 0.0, 0.0)
         return replace(
             self,
             root=self.root + np.array([side, -drop, -back]),
@@ -102,7 +79,7 @@ class Pose:
         )
 
     def over(self, side: int, share: float) -> Pose:
-        """Return the pose with the root moved sideways towards one foot."""
+        """Return the pose with the root moved sideways toward one foot."""
         return self.leaning(side=float(share * (self.ankle[side, 0] - self.root[0])))
 
     def with_foot(
@@ -114,10 +91,7 @@ class Pose:
         heel: float | None = None,
         knee_out: float | None = None,
     ) -> Pose:
-        """Return the pose with a foot standing elsewhere; lengths [m], angles [rad].
-
-        With BOTH for a side, both feet do.
-        """
+        """Return the pose with a foot, or with BOTH, planted as given [m, rad]."""
         ankles, foot, out = self.ankle.copy(), self.foot.copy(), self.knee_out.copy()
         lifted = self.lifted.copy()
         lifted[side] = 0.0
@@ -132,7 +106,7 @@ class Pose:
         return replace(self, ankle=ankles, foot=foot, knee_out=out, lifted=lifted)
 
     def stepping(self, side: int, to: Array, lift: float) -> Pose:
-        """Return the pose with one foot [m] in the air halfway to a place."""
+        """Return the pose with one foot in the air halfway to its next place [m]."""
         middle = (self.ankle[side] + to) / 2.0 + np.array([0.0, lift, 0.0])
         return self.with_foot(side, ankle=middle, heel=0.2)
 
@@ -142,43 +116,42 @@ class Score:
 
     def __init__(self, pose: Pose) -> None:
         self.duration = 0.0
-        """Time of the last key [s]."""
+        """Time of the last key pose [s]."""
         self._times = [0.0]
         self._poses = [pose]
 
     def to(self, seconds: float, pose: Pose) -> Score:
-        """Move to a pose within some seconds; returns the score itself."""
+        """Move to a pose in the given time and return the score itself."""
         self.duration += seconds
         self._times.append(self.duration)
         self._poses.append(pose)
         return self
 
     def hold(self, seconds: float) -> Score:
-        """Stay in the last pose."""
+        """Hold the last pose and return the score itself."""
         return self.to(seconds, self._poses[-1])
 
-    def append(self, other: Score) -> Score:
-        """Play another score after this one, which ends where the other starts."""
+    def append(self, other: Score) -> None:
+        """Append another score, which starts in the pose where this one ends."""
         self._times += [self.duration + time for time in other._times[1:]]
         self._poses += other._poses[1:]
         self.duration += other.duration
-        return self
-
-    @property
-    def last(self) -> Pose:
-        """The last pose."""
-        return self._poses[-1]
 
     def sample(self, fps: float) -> tuple[Array, Pose]:
         """Return time [s], shape (T,), and the motion at a constant frame rate."""
         time = np.arange(0.0, self.duration, 1.0 / fps)
-        keys = np.stack([pose.flat() for pose in self._poses])
-        arms = slice(*_ARMS)
-        quats = continuous(keys[:, arms].reshape(len(keys), 2, 4))
-        keys[:, arms] = quats.reshape(len(keys), -1)
-        channels = PchipInterpolator(self._times, keys)(time)
-        channels = gaussian_filter1d(channels, _SMOOTHING * fps, axis=0, mode="nearest")
-        return time, self.last.unflat(channels)
+        channels, width = {}, _SMOOTHING * fps
+        for field in fields(Pose):
+            keys = np.stack([getattr(pose, field.name) for pose in self._poses])
+            if field.name == "arm":
+                keys = continuous(keys)
+            path = PchipInterpolator(self._times, keys)(time)
+            channels[field.name] = gaussian_filter1d(
+                path, width, axis=0, mode="nearest"
+            )
+        arm = channels["arm"]
+        channels["arm"] = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
+        return time, Pose(**channels)
 
 
 JOINT_RANGES: dict[str, tuple[float, float]] = {
@@ -192,23 +165,25 @@ JOINT_RANGES: dict[str, tuple[float, float]] = {
     "shoulder extension": (-180.0, 60.0),
     "elbow flexion": (0.0, 150.0),
     "hip flexion": (-30.0, 120.0),
-    # 45 with a straight hip; bent and turned out it goes further, by how much is a
-    # guess from side kicks and splits.
+    # 45 with a straight hip; flexed and rotated outward it goes further. How much
+    # further is a guess from side kicks and splits.
     "hip abduction": (-30.0, 65.0),
     "knee flexion": (0.0, 150.0),
 }
-"""Least and greatest angle [deg] by joint; thoracic and lumbar spine make the trunk."""
-
-_PARTS = ("flexion", "bend", "rotation")
+"""Smallest and largest angle [deg]; the trunk is the thoracic and the lumbar spine."""
 
 
 def within_ranges(pose: Pose) -> Pose:
-    """Return the pose with trunk and neck held within their ranges.
+    """Return the pose with trunk and neck angles clipped to their ranges.
 
-    Elbows and knees cannot leave theirs, shoulders and hips go where scripts put them.
+    Elbows and knees cannot leave theirs; shoulders and hips stay as scripted.
     """
-    trunk = np.radians([JOINT_RANGES[f"trunk {part}"] for part in _PARTS])
-    neck = np.radians([JOINT_RANGES[f"neck {part}"] for part in _PARTS])
+    trunk, neck = (
+        np.radians(
+            [JOINT_RANGES[f"{part} {a}"] for a in ("flexion", "bend", "rotation")]
+        )
+        for part in ("trunk", "neck")
+    )
     return replace(
         pose, spine=np.clip(pose.spine, *trunk.T), head=np.clip(pose.head, *neck.T)
     )
