@@ -58,7 +58,7 @@ def check_kind(value: object, kind: type | UnionType, what: str) -> None:
         raise InputError(f"{what} must be a {wanted}, got {shown(value)}")
 
 
-def check_word(value: object, known: Iterable[str], what: str) -> None:
+def check_choice(value: object, known: Iterable[str], what: str) -> None:
     """Raise an InputError if a value is not one of the known names."""
     words = tuple(known)
     if not isinstance(value, str) or value not in words:

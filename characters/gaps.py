@@ -28,7 +28,7 @@ def long_gaps(time: Array) -> list[tuple[float, float]]:
     return [(float(time[a.stop - 1]), float(time[b.start])) for a, b in pairs]
 
 
-def told_gaps(
+def describe_gaps(
     gaps: Sequence[tuple[float, float]], begin: float, then: str = ""
 ) -> list[str]:
     """Return a line on each of the first few long gaps, followed by ``then``.

@@ -27,7 +27,7 @@ from .props import Prop
 from .rotations import rotate
 from .skeleton import Skeleton, check_skeleton
 
-LATEST = 1e12
+LATEST_TIME_STAMP = 1e12
 """Bound on time stamps in live mode [s]; clocks count seconds from 1970."""
 _DAMAGED = 1e19  # s: no clock shows this; less may be in another unit (check_rate)
 _UNIT = 1e-3  # tolerance for the length of quaternions in single precision
@@ -221,7 +221,7 @@ class Take(_Frames):
             object.__setattr__(self, "positions", whole)
         freeze(self)
 
-    def exchanged(self, frames: Any = np.s_[:]) -> Take:
+    def swapped(self, frames: Any = np.s_[:]) -> Take:
         """Return the take with left and right swapped, in all or some of its frames."""
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):

@@ -12,8 +12,8 @@ from .arrays import (
     Indices,
     Lengths,
     check_arrays,
+    check_choice,
     check_kind,
-    check_word,
     freeze,
 )
 from .errors import InputError
@@ -50,7 +50,7 @@ class Shape:
         shapes |= dict.fromkeys(("size", "position", "color"), (3,))
         shapes |= dict.fromkeys(("points", "triangles"), (None, 3))
         check_arrays(self, "a prop", shapes, finite=True)
-        check_word(self.kind, get_args(ShapeKind), "kind of shape")
+        check_choice(self.kind, get_args(ShapeKind), "kind of shape")
         corners = self.triangles
         if not np.isin(corners, np.arange(len(self.points))).all():
             raise InputError(

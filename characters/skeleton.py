@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Flags, Indices, check_word, shown
+from .arrays import Flags, Indices, check_choice, shown
 from .errors import InputError
 
 SIDES = ("Left", "Right")
@@ -96,12 +96,12 @@ class Skeleton:
             for j in range(len(self))
         )
 
-    def up_from(self, joint: int) -> list[int]:
+    def ancestors(self, joint: int) -> list[int]:
         """Return the indices of a joint and its ancestors, without the root."""
         parent = self.parents[joint]
-        return [] if parent < 0 else [joint, *self.up_from(parent)]
+        return [] if parent < 0 else [joint, *self.ancestors(parent)]
 
-    def beyond(self, joint: int) -> list[int]:
+    def descendants(self, joint: int) -> list[int]:
         """Return the indices of a joint's descendants, nearest first."""
         joints = list(self.children[joint])
         for descendant in joints:
@@ -173,7 +173,7 @@ SKELETONS = {skeleton.name: skeleton for skeleton in (KINECT_V1, KINECT_V2)}
 
 def skeleton_named(name: str) -> Skeleton:
     """Return the skeleton with a name; raises InputError if it is unknown."""
-    check_word(name, SKELETONS, "skeleton")
+    check_choice(name, SKELETONS, "skeleton")
     return SKELETONS[name]
 
 

@@ -289,7 +289,7 @@ def _flesh_of(body: Body) -> _Flesh:
     # The limb of each segment: 0 for the trunk, 1 to 4 for arms and legs.
     limbs = np.zeros(len(skeleton), dtype=np.int64)
     for k, joint in enumerate([*skeleton.sides("Elbow"), *skeleton.sides("Knee")], 1):
-        limbs[[joint, *skeleton.beyond(joint)]] = k
+        limbs[[joint, *skeleton.descendants(joint)]] = k
     return _Flesh(starts, ends, pairs, segments, limbs[segments])
 
 

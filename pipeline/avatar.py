@@ -91,7 +91,7 @@ class Avatar:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user on how the sensor is turned."""
-        return self.turn.told()
+        return self.turn.notes()
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push a part of the body for a time; see ``PulledCharacter.push``."""

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Body, Clip, InputError, Take, Tracking
-from kinefilter.characters.arrays import Array, as_number, check_kind, check_word
-from kinefilter.characters.gaps import long_gaps, parts_of, told_gaps
-from kinefilter.characters.motion import LATEST
+from kinefilter.characters.arrays import Array, as_number, check_choice, check_kind
+from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
+from kinefilter.characters.motion import LATEST_TIME_STAMP
 
 from .checks import check_take, checked_frame
 from .config import CleanConfig
@@ -26,7 +26,7 @@ from .correct import Corrector
 from .draft import Draft, Unedited
 from .editing import clean_again, unedited
 from .edits import Edit, edited, read_edits
-from .failures import Failure, find_displaced, told_failures
+from .failures import Failure, describe_failures, find_displaced
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .progress import Progress, silent
@@ -74,8 +74,8 @@ class CleanResult:
     def damage(self) -> tuple[str, ...]:
         """Long gaps and tracker failures, with times and remedies, a sentence each."""
         begin = self.clip.time[0]
-        gaps = told_gaps(long_gaps(self.clip.time), begin)
-        return (*gaps, *told_failures(self.failures, begin))
+        gaps = describe_gaps(long_gaps(self.clip.time), begin)
+        return (*gaps, *describe_failures(self.failures, begin))
 
     @property
     def share_outside(self) -> float:
@@ -145,14 +145,14 @@ class Cleaner:
     def until(self, name: str) -> Cleaner:
         """Return a copy that ends with the named stage; errors as for ``replaced``."""
         names = [stage.name for stage in self.stages]
-        check_word(name, names, "stage")
+        check_choice(name, names, "stage")
         return self.without(*names[names.index(name) + 1 :])
 
     def _changed(self, changes: Iterable[tuple[str, Stage | None]]) -> Cleaner:
         """Return a copy with stages replaced by name, or left out where None."""
         stages: dict[str, Stage | None] = {stage.name: stage for stage in self.stages}
         for name, stage in changes:
-            check_word(name, stages, "stage")
+            check_choice(name, stages, "stage")
             stages[name] = stage
         other = copy(self)
         other.stages = tuple(stage for stage in stages.values() if stage is not None)
@@ -183,7 +183,7 @@ class Cleaner:
             raise InputError("step() has no body; call start(body) first")
         skeleton, time = self._body.skeleton, as_number(time, "the time of a frame")
         measured, states = checked_frame(positions, state, skeleton)
-        if not abs(time) < LATEST:
+        if not abs(time) < LATEST_TIME_STAMP:
             raise InputError(f"a frame at {time:g} s; give its time stamp in seconds")
         if self._time is not None and time <= self._time:
             raise InputError(
@@ -196,7 +196,7 @@ class Cleaner:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
         self._time = time
         for stage in self.stages:
-            if draft.appears and not stage.goes_on:
+            if draft.appears and not stage.continues:
                 stage.start(self._body)
             stage.step(draft)
         return draft
@@ -221,7 +221,7 @@ class Cleaner:
         check_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
             raise InputError(
-                f"{take.source}: {told_gaps(gaps, take.time[0])[0]}; clean it with "
+                f"{take.source}: {describe_gaps(gaps, take.time[0])[0]}; clean it with "
                 "--gaps hold or split, or cut the take there"
             )
         distinct = np.concatenate([[True], np.diff(take.time) > 0])
@@ -300,7 +300,7 @@ class Cleaner:
             tuple(sorted((*draft.failures, *displaced), key=lambda f: f.first)),
             (
                 *map(str, edits),
-                *told_gaps(long_gaps(take.time), take.time[0], then),
+                *describe_gaps(long_gaps(take.time), take.time[0], then),
                 *_notes(draft),
             ),
             tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
@@ -321,7 +321,7 @@ def _notes(draft: Draft) -> Iterable[str]:
             "no T-pose or standing frames with every joint tracked: segment lengths "
             "are measured over the whole take"
         )
-    yield from draft.turn.told(draft.tilt)
+    yield from draft.turn.notes(draft.tilt)
     if draft.turn.roll:
         yield "--tilt 0 leaves the sensor's frame as it is"
     if draft.trace is not None and draft.trace.reset.any():

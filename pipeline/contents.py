@@ -23,7 +23,7 @@ from kinefilter.characters import (
     Take,
 )
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.gaps import long_gaps, told_gaps
+from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.skeleton import SIDES
 
@@ -282,7 +282,7 @@ def _facts(facts: dict[str, Any]) -> list[RenderableType]:
         if key not in _SHOWN_APART
     ]
     gaps = [(gap["start_s"], gap["end_s"]) for gap in facts.get("gaps", ())]
-    lines += [f"  {gap}" for gap in told_gaps(gaps, facts.get("start_s", 0.0))]
+    lines += [f"  {gap}" for gap in describe_gaps(gaps, facts.get("start_s", 0.0))]
     if "states" in facts:
         names = [state.name.lower().replace("_", " ") for state in State]
         table = Table("part", *names, title="tracking states", title_justify="left")

@@ -37,7 +37,7 @@ import numpy as np
 
 from kinefilter.characters import CONTACTS, InputError, State, Take
 from kinefilter.characters.arrays import Array, Flags, shown
-from kinefilter.characters.motion import LATEST
+from kinefilter.characters.motion import LATEST_TIME_STAMP
 from kinefilter.characters.skeleton import SIDES
 
 from .field_types import converted
@@ -102,10 +102,10 @@ class Edit:
     """Where the joint is pinned [m], in the clip's frame, (3,)."""
 
     def __str__(self) -> str:
-        return f"edited: {self.told}"
+        return f"edited: {self.summary}"
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """The edit in words."""
         what = ", ".join(self.joints)
         when = f"from {self.begin:.4g} to {self.end:.4g} s"
@@ -190,7 +190,7 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
         raise InputError(f"{where}: position is {place}, expected three numbers [m]")
     time = values.get("time", 0.0)
     begin, end = values.get("begin", time), values.get("end", time)
-    if not 0.0 <= begin <= end < LATEST:
+    if not 0.0 <= begin <= end < LATEST_TIME_STAMP:
         raise InputError(
             f"{where}: times {begin:g} to {end:g}: expected seconds after the first "
             "frame, the end not before the beginning"
@@ -223,7 +223,7 @@ def edited(take: Take, edits: Iterable[Edit], since: Array | None = None) -> Tak
         if not checked:
             _check(edit, frames, take)
         if edit.kind == "exchange":
-            take = take.exchanged(frames)
+            take = take.swapped(frames)
         elif edit.kind == "distrust":
             names = chain.from_iterable(LIMBS.get(n, (n,)) for n in edit.joints)
             gone = [skeleton.index(n) for n in names if n in skeleton.joints]

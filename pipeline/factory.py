@@ -8,7 +8,7 @@ from typing import Any, cast
 from kinefilter.characters import InputError, Skeleton
 
 from .config import CleanConfig
-from .correct import Corrector, InTurn, LocalPCA
+from .correct import Corrector, CorrectorChain, LocalPCA
 from .database import PostureDatabase, builtin_database
 from .methods import METHODS
 from .models import Model, load_model
@@ -37,13 +37,13 @@ def make_corrector(
         if config.method != "local-pca":
             return learned
         methods, least = (learned, _build("local-pca", skeleton, config)), _MINIMUM
-        return InTurn(*methods, skeleton=skeleton, least_reliability=least)
+        return CorrectorChain(*methods, skeleton=skeleton, least_reliability=least)
     if config.adapt:
         raise InputError("--adapt needs a --model of method local-gp")
     if config.person is not None:
         raise InputError("--person needs a --model from 'kinefilter train --people'")
     name = config.method or ("default" if by_kinect else "local-pca")
-    if METHODS[name].made_of == "pairs":
+    if METHODS[name].requires == "pairs":
         asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
         trained = f"a --model from 'kinefilter train {asked}'"
         raise InputError(f"{asked} needs training: give {trained}")
@@ -54,7 +54,7 @@ def _build(
     name: str, skeleton: Skeleton, config: CleanConfig, **constants: Any
 ) -> Corrector:
     method = METHODS[name]
-    base = skeleton if method.made_of == "skeleton" else _database(skeleton, config)
+    base = skeleton if method.requires == "skeleton" else _database(skeleton, config)
     options = {option: getattr(config, option) for option in method.options}
     corrector: Corrector = method.load()(base, **(options | constants))
     return corrector
@@ -64,7 +64,7 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
     """Return the shipped learned corrector followed by local PCA with ``options``."""
     skeleton = database.skeleton
     methods = shipped_model(skeleton), LocalPCA(database, **options)
-    return InTurn(*methods, skeleton=skeleton)
+    return CorrectorChain(*methods, skeleton=skeleton)
 
 
 def shipped_model(skeleton: Skeleton) -> Corrector:
@@ -115,7 +115,7 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
                 f"does not know {config.person!r}, {known}; train it on people with "
                 "'kinefilter train --people'"
             )
-        corrector.know(config.person)
+        corrector.select_person(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:
             what = f"a model of method {model.method}"

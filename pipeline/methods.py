@@ -16,7 +16,7 @@ class Method:
 
     where: str
     """``module:name`` below ``kinefilter.pipeline``."""
-    made_of: Literal["skeleton", "database", "pairs"]
+    requires: Literal["skeleton", "database", "pairs"]
     """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
     options: tuple[str, ...] = ()
     """Fields of ``CleanConfig`` that its constructor also takes."""
@@ -52,7 +52,7 @@ METHODS = {
     "no-reliability": Method("lab.methods.shum:NoReliability", "database", ("seed",)),
 }
 """Correction methods."""
-LEARNED = {name: m for name, m in METHODS.items() if m.made_of == "pairs"}
+LEARNED = {name: m for name, m in METHODS.items() if m.requires == "pairs"}
 """Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",

@@ -59,12 +59,12 @@ def _try_out(corrector: LearnedCorrector) -> None:
     time = np.arange(3) / 30
     take = Observation(posture, reliable, reliable, time, body.lengths, sensor)
     for person in (None, *getattr(corrector, "people_", np.array([])).tolist()):
-        corrector.know(person)
+        corrector.select_person(person)
         for found in (corrector.whole(take), corrector.step(take.frame(0))):
             moved = np.abs(found.positions - posture[0]).max()
             if not moved < _FARTHEST:
                 raise ValueError(f"it moves a T-pose by {moved:.3g} m")
-    corrector.know(None)
+    corrector.select_person(None)
     corrector.start()
 
 

@@ -111,7 +111,7 @@ def _trunk_directions(take: Take) -> Array:
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
     left, right = np.transpose([skeleton.sides("Hip"), skeleton.sides("Shoulder")])
-    trunk = [*left, *right, *skeleton.up_from(skeleton.girdle)]
+    trunk = [*left, *right, *skeleton.ancestors(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
         return directions

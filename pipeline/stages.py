@@ -27,14 +27,14 @@ from .failures import (
     distrust,
     find_failures,
     unmirrored,
-    without_nobody,
+    without_impossible_bodies,
 )
 from .methods import SCORERS, load
 from .physics import PhysicsFilter
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import measure_body, measure_reference, rest_reference
-from .target.floor import place_of
+from .target.floor import find_placement
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
 CHUNK = 4096
@@ -54,7 +54,7 @@ class Stage(ABC):
     local = False
     """True if a few seconds of a take give the same result when processed with only
     their surroundings, so that edits need only those seconds to be cleaned again."""
-    goes_on: ClassVar[bool] = False
+    continues: ClassVar[bool] = False
     """True if the stage need not start again when the person suddenly is elsewhere."""
 
     def start(self, body: Body) -> None:  # noqa: B027 - some stages have no state
@@ -126,7 +126,9 @@ class Failures(Stage):
         """Find and repair the failures of a take."""
         take = draft.take()
         draft.failures = find_failures(take)
-        repaired = unmirrored(without_nobody(take, draft.failures), draft.failures)
+        repaired = unmirrored(
+            without_impossible_bodies(take, draft.failures), draft.failures
+        )
         draft.measured, draft.state = repaired.positions, repaired.state
 
 
@@ -173,7 +175,7 @@ class MeasureCorrectedBody(MeasureBody):
         take = replace(draft.take().at(sample), positions=measured)
         reference = measure_reference(take)
         bones = BoneLengths(self._measure(take, reference))
-        lengths = bones.fitting(positions, np.where(missing, 0.0, 1.0))
+        lengths = bones.fitted_lengths(positions, np.where(missing, 0.0, 1.0))
         lengths = np.where(np.isnan(reference.lengths), np.nan, lengths)
         draft.body = self._measure(take, replace(reference, lengths=lengths))
 
@@ -305,7 +307,7 @@ class Physics(Stage):
     """Pulls a simulated character through the motion with bounded forces."""
 
     name = "physics"
-    goes_on = True
+    continues = True
     in_parts = False
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
@@ -328,7 +330,7 @@ class Physics(Stage):
         positions, rotations = _placed(draft, self._place)
         if first or draft.appears:
             # Props stay where they are, except for the first frame.
-            self.character.start(positions, rotations, anew=first)
+            self.character.start(positions, rotations, reset_props=first)
         else:
             target, stands = (positions, rotations), draft.stands
             draft.reset = not self.character.step(*target, draft.elapsed, stands=stands)
@@ -349,12 +351,12 @@ class Physics(Stage):
         if place is not None:
             draft.positions = place.restore(result.positions)
             draft.rotations = place.restore_rotations(result.rotations)
-            draft.props = result.things.props(place)
+            draft.props = result.scene_props.props(place)
         draft.trace = result.trace
         draft.external_force = result.trace.external_force
 
     def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
-        return None if self._scene is None else place_of(positions, skeleton)
+        return None if self._scene is None else find_placement(positions, skeleton)
 
 
 def _placed(draft: Draft, place: HeadingFrame | None) -> tuple[Array, Array]:

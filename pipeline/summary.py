@@ -13,7 +13,7 @@ from kinefilter.characters import Origin, Term
 
 from .cleaner import CleanResult
 from .contents import failures_as_json, gaps_as_json, origin_shares
-from .failures import told_failures
+from .failures import describe_failures
 from .formats.plain import finite
 
 _ROWS = (
@@ -89,6 +89,6 @@ def as_tables(result: CleanResult) -> RenderableType:
     if np.isfinite(result.share_outside):
         share = f"{result.share_outside:.0%}"
         lines.append(f"frames with postures unfamiliar to the method: {share}")
-    failures = told_failures(result.failures, clip.time[0])
+    failures = describe_failures(result.failures, clip.time[0])
     lines += [f"tracker failure: {failure}" for failure in failures]
     return Group(head, stages, joints, *lines, *result.notes)

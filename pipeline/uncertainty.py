@@ -104,10 +104,12 @@ def _nearest_judged(skeleton: Skeleton) -> list[list[int]]:
     joints = judged(skeleton)
     sides = map(skeleton.sides, ("Shoulder", "Hip"))
     shoulders, hips = ([joints.index(j) for j in pair] for pair in sides)
-    upper = {skeleton.girdle, *skeleton.beyond(skeleton.girdle)}
+    upper = {skeleton.girdle, *skeleton.descendants(skeleton.girdle)}
     columns = []
     for j in range(len(skeleton)):
         # Of the judged joints it hangs from, the outermost comes last.
-        above = [k for k, top in enumerate(joints) if j in (top, *skeleton.beyond(top))]
+        above = [
+            k for k, top in enumerate(joints) if j in (top, *skeleton.descendants(top))
+        ]
         columns.append(above[-1:] or (shoulders if j in upper else hips))
     return columns

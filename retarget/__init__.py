@@ -4,15 +4,15 @@ from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .hands import Hands
 from .heading_frame import HeadingFrame, find_yaw
-from .orientation import hang_missing, rotations_from_positions
+from .orientation import fill_missing_joints, rotations_from_positions
 
 __all__ = [
     "BoneLengths",
     "Hands",
     "HeadingFrame",
     "Standardizer",
+    "fill_missing_joints",
     "find_yaw",
-    "hang_missing",
     "measured_body",
     "rotations_from_positions",
 ]

@@ -54,7 +54,7 @@ def measured_body(
     known = np.where(lengths > 0, lengths, np.nan)
     known = _mean_of_sides(known, known[skeleton.mirror])
     legs = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
-    stack = [*legs, *skeleton.up_from(skeleton.index("Head"))]
+    stack = [*legs, *skeleton.ancestors(skeleton.index("Head"))]
     upright = [j for j in stack if np.isfinite(known[j])]
     share = known[upright].sum() / average[upright].sum() if upright else 1.0
     stature = STANDARD_HEIGHT * float(share)

@@ -37,7 +37,7 @@ class BoneLengths:
         self._incidence = joints[self._ends] - joints[self._starts]
         above = np.ones(len(skeleton))
         for hip in skeleton.hips:
-            above[skeleton.beyond(int(hip))] = 0.0
+            above[skeleton.descendants(int(hip))] = 0.0
         self._together = _TOGETHER * np.outer(self._incidence @ above, above)
         self._firm = np.ones(len(skeleton))
         trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]
@@ -56,7 +56,7 @@ class BoneLengths:
             projected[chunk] = self._project(positions[chunk], firmness[chunk])
         return projected
 
-    def fitting(self, positions: Array, firmness: Array) -> Array:
+    def fitted_lengths(self, positions: Array, firmness: Array) -> Array:
         """Return the segment lengths [m] (J,) for which joints move the least.
 
         This is a least-squares fit over all frames; arguments are those of ``project``.

@@ -19,7 +19,9 @@ class Hands:
     def __init__(self, skeleton: Skeleton) -> None:
         self._parents = skeleton.parents
         arms = zip(skeleton.sides("Elbow"), skeleton.sides("Wrist"), strict=True)
-        self._arms = [(elbow, wrist, skeleton.beyond(wrist)) for elbow, wrist in arms]
+        self._arms = [
+            (elbow, wrist, skeleton.descendants(wrist)) for elbow, wrist in arms
+        ]
 
     def carried(
         self, before: Array, after: Array, confidence: Array, body: Body

@@ -47,7 +47,7 @@ def rotations_from_positions(
     return rotations
 
 
-def hang_missing(positions: Array, body: Body) -> Array:
+def fill_missing_joints(positions: Array, body: Body) -> Array:
     """Return postures with missing (NaN) joints placed by their parents, as at rest."""
     skeleton, filled = body.skeleton, positions.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):

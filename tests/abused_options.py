@@ -374,7 +374,7 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
         *((page, "run", ended(page.run)) for page in (Player, Viewer)),
         (live, "stopped_by_signals", soon),
         (simulate, "simulated_pairs", _few(simulate.simulated_pairs)),
-        (simulate, "furnished_pairs", _few(simulate.furnished_pairs)),
+        (simulate, "pairs_with_props", _few(simulate.pairs_with_props)),
         (scripted_database, "MOTIONS", MOTIONS[:2]),
         (teach, "_SIMULATED", 2),
         (bench, "_TAKES_PER_CORE", 1),

@@ -36,7 +36,7 @@ from kinefilter.characters import (
 from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline.lab.recorded_acts import (
     DISTANCE,
-    UNSEEN,
+    NOT_IN_MOCAP,
     Pair,
     index,
     pairs_of,
@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 
 FITTED, HELD_OUT = ("s02", "s03", "s04"), ("s06", "s07", "s08")
 PEOPLE = (*FITTED, *HELD_OUT)
-JOINTS = [j for j in range(len(KINECT_V1)) if j not in UNSEEN]
+JOINTS = [j for j in range(len(KINECT_V1)) if j not in NOT_IN_MOCAP]
 LIMBS = [
     index(part + side)
     for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
@@ -130,7 +130,7 @@ def fit_moving(pairs: list[Pair], offsets: Array) -> tuple[Array, Array]:
     shared = np.full(len(KINECT_V1), np.nan)
     for j in JOINTS:
         parent = max(KINECT_V1.parents[j], 0)
-        parent = index("HipCenter") if parent in UNSEEN else parent
+        parent = index("HipCenter") if parent in NOT_IN_MOCAP else parent
         ends = moved[:, [j, parent]].transpose(1, 0, 2).reshape(2, -1)
         shared[j] = np.corrcoef(ends[:, np.isfinite(ends).all(axis=0)])[0, 1]
     twins = [[j, int(m)] for j, m in enumerate(KINECT_V1.mirror)]

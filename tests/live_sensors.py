@@ -59,7 +59,7 @@ def frames(
     rows = []
     for number, view in enumerate(seen):
         take = view.pair.take
-        came = view.clock.undone(take.time) + late * bool(number)
+        came = view.clock.inverse(take.time) + late * bool(number)
         for k, now in enumerate(came.tolist()):
             body = SeenBody("1", take.positions[k].copy(), take.state[k].copy())
             rows.append((now, number, Frame(float(take.time[k]), (body,))))

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from kinefilter.characters import SKELETONS
 from kinefilter.pipeline.lab.scorers.learned import learned_weights
-from kinefilter.pipeline.lab.simulate import furnished_pairs
+from kinefilter.pipeline.lab.simulate import pairs_with_props
 
 FOLDER = Path(__file__).parents[1] / "pipeline" / "lab" / "embedded"
 
 
 def main() -> None:
     for name in SKELETONS:
-        learned_weights(furnished_pairs(name)).save(FOLDER / f"{name}_doubt.npz")
+        learned_weights(pairs_with_props(name)).save(FOLDER / f"{name}_doubt.npz")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Body, Clip, Skeleton
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.formats import Export, write_clip, write_people
-from kinefilter.pipeline.formats.export import in_strict_t, paced, resampled
+from kinefilter.pipeline.formats.export import in_strict_t, resampled, with_frame_rate
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.scenes.library import random_body
 
@@ -93,7 +93,7 @@ def seen(
         if export.character is not None:
             export = replace(export, character=folder / export.character)
         write_clip(clip, folder / name, export)
-        export = paced(export, Path(name).suffix, clip.time, name)
+        export = with_frame_rate(export, Path(name).suffix, clip.time, name)
         clip = resampled(clip, export.fps) if export.fps else clip
         clip = in_strict_t(clip) if export.rest == "t" else clip
         frames = np.arange(len(clip), dtype=float)

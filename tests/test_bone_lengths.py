@@ -197,7 +197,7 @@ def test_fitting_lengths_are_those_that_all_frames_have() -> None:
     for j in KINECT_V1.segments:
         bone = bones[:, j] * longer[j] / body.lengths[j]
         positions[:, j] = positions[:, KINECT_V1.parents[j]] + bone
-    found = BoneLengths(body).fitting(positions, np.ones((10, 20)))
+    found = BoneLengths(body).fitted_lengths(positions, np.ones((10, 20)))
     np.testing.assert_allclose(found, longer * (np.arange(20) > 0), atol=1e-7)
 
 
@@ -206,7 +206,7 @@ def test_joints_move_less_for_fitting_lengths_than_for_mean_ones() -> None:
     positions = noisy(KINECT_V1, 100, 0.003)
     mean, ends = body.lengths.copy(), KINECT_V1.segments
     mean[ends] = lengths_of(positions, KINECT_V1).mean(axis=0)
-    fitting = BoneLengths(body).fitting(positions, firm)
+    fitting = BoneLengths(body).fitted_lengths(positions, firm)
 
     def cost(lengths: Array) -> float:
         projector = BoneLengths(replace(body, lengths=lengths))

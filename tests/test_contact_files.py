@@ -24,7 +24,7 @@ from kinefilter.pipeline.formats import (
     write_contacts,
 )
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.target.feet import feet_of
+from kinefilter.pipeline.target.feet import planted_feet
 
 MakeClip = Callable[..., Clip]
 Array = NDArray[np.float64]
@@ -267,11 +267,11 @@ def test_an_edited_table_changes_the_clip_where_it_was_edited(tmp_path: Path) ->
     clip = _clean(tmp_path / "one.npz", "--save-contacts", str(saved))
     header, *rows = saved.read_text(encoding="utf-8").splitlines()
     edited = slice(len(rows) // 2, len(rows) // 2 + 10)
-    assert feet_of(clip.contacts)[edited].all()
+    assert planted_feet(clip.contacts)[edited].all()
     rows[edited] = [f"{row.split(',')[0]},0,0,1,1" for row in rows[edited]]
     table(saved, *rows, header=f"{header}\n")
     again = _clean(tmp_path / "two.npz", "--contacts", str(saved))
-    stands = feet_of(again.contacts)
+    stands = planted_feet(again.contacts)
     assert not stands[edited, 0].any()
     assert stands[edited, 1].all()
     foot = clip.skeleton.index("FootLeft")
@@ -288,7 +288,7 @@ def test_an_edited_table_changes_the_clip_where_it_was_edited(tmp_path: Path) ->
 @pytest.mark.parametrize(("feet", "share"), [("never", 0.0), ("always", 1.0)])
 def test_feet_never_or_always_stand(tmp_path: Path, feet: str, share: float) -> None:
     clip = _clean(tmp_path / "clip.npz", "--feet", feet)
-    assert feet_of(clip.contacts).mean() == share
+    assert planted_feet(clip.contacts).mean() == share
 
 
 def test_a_lower_floor_has_the_body_higher_over_it(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.target import feet
-from kinefilter.pipeline.target.feet import ankles_and_toes, feet_of, find_stance
+from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, planted_feet
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -210,7 +210,7 @@ def test_runs_are_the_maximal_spans_of_truth(flags: list[bool], shortest: int) -
 
 def test_a_foot_stands_where_its_heel_or_its_toes_do() -> None:
     parts = np.array(list(product([False, True], repeat=4)))
-    feet = feet_of(parts)
+    feet = planted_feet(parts)
     np.testing.assert_array_equal(feet[:, 0], parts[:, 0] | parts[:, 1])
     np.testing.assert_array_equal(feet[:, 1], parts[:, 2] | parts[:, 3])
 

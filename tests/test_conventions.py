@@ -26,7 +26,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.formats import read_bvh
-from kinefilter.pipeline.target.floor import leveled, place_of
+from kinefilter.pipeline.target.floor import find_placement, leveled
 from kinefilter.scenes.sensor import Sensor, in_sensor_frame, sample_take
 
 MakeClip = Callable[..., Clip]
@@ -75,7 +75,7 @@ def test_codes_mean_what_the_tables_say(heading: str, words: list[str]) -> None:
 def test_in_a_scene_the_person_begins_at_the_origin_and_faces_plus_z() -> None:
     rest = standard_body(KINECT_V1).rest_positions
     posture = rotate(about_y(2.0), rest) + np.array([1.5, 0.0, 2.5])
-    place = place_of(posture[None], KINECT_V1)
+    place = find_placement(posture[None], KINECT_V1)
     np.testing.assert_allclose(place.remove(posture[None])[0], rest, atol=1e-12)
 
 

@@ -254,7 +254,7 @@ def test_sides_are_put_back_before_joints_are_named(
 ) -> None:
     told = table("distrust", joints='"right-arm"')
     wanted = cleaned(pair.take, edited(tmp_path, told)).clip
-    wrong = pair.take.exchanged(during(pair.take))
+    wrong = pair.take.swapped(during(pair.take))
     found = cleaned(wrong, edited(tmp_path, told + table("exchange"))).clip
     moved = np.linalg.norm(found.positions - wanted.positions, axis=-1)
     assert moved[during(pair.take)].max() < 0.02
@@ -263,7 +263,7 @@ def test_sides_are_put_back_before_joints_are_named(
 def test_sides_that_are_exchanged_are_put_back(
     pair: PairedTake, tmp_path: Path
 ) -> None:
-    wrong = pair.take.exchanged(during(pair.take))
+    wrong = pair.take.swapped(during(pair.take))
     found = cleaned(wrong, edited(tmp_path, table("exchange")))
     assert apart(found, cleaned(pair.take))[during(pair.take)].max() < 0.02
 

@@ -16,10 +16,10 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, State, Take, Term, stand
 from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
+    describe_failures,
     distrust,
     find_displaced,
     find_failures,
-    told_failures,
     unmirrored,
 )
 from kinefilter.pipeline.failures.limbs import trunk_axes
@@ -334,11 +334,11 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     assert abs(found.first - 60) <= 8
     assert abs(found.last - 89) <= 8
     assert found.start == time[found.first]
-    (told,) = told_failures([found], time[0])
+    (told,) = describe_failures([found], time[0])
     assert told.startswith("left arm displaced by 9 cm or more (")
 
 
 def test_failures_are_told_in_seconds_since_the_first_frame() -> None:
     failure = Failure(FailureKind.LEAPING, "left arm", 30, 45, 101.0, 101.5)
-    (told,) = told_failures([failure], 100.0)
+    (told,) = describe_failures([failure], 100.0)
     assert "(1.0 to 1.5 s)" in told

@@ -30,7 +30,7 @@ def no_stance(frames: int) -> NDArray[np.bool_]:
     return np.zeros((frames, 2), dtype=np.bool_)
 
 
-def feet_of(skeleton: Skeleton) -> list[int]:
+def planted_feet(skeleton: Skeleton) -> list[int]:
     return [
         skeleton.index(part + side)
         for part in ("Ankle", "Foot")
@@ -67,7 +67,7 @@ def test_the_floor_of_a_performance_is_where_it_is(name: str) -> None:
 
 
 def test_one_foot_on_the_floor_is_enough_even_where_only_its_ankle_is_seen() -> None:
-    body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
+    body, feet = standard_body(KINECT_V1), planted_feet(KINECT_V1)
     positions, confidence = standing(10) + np.array([0.0, 0.2, 0.0]), np.ones((10, 20))
     right = [j for j in feet if KINECT_V1.joints[j].endswith("Right")]
     positions[:, right, 1] += 0.3
@@ -91,7 +91,7 @@ def test_jumps_and_sunken_frames_do_not_move_the_floor() -> None:
 
 
 def test_invented_and_missing_feet_have_no_say() -> None:
-    body, feet = standard_body(KINECT_V1), feet_of(KINECT_V1)
+    body, feet = standard_body(KINECT_V1), planted_feet(KINECT_V1)
     positions, confidence = standing(20) + np.array([0.0, -0.5, 0.0]), np.ones((20, 20))
     positions[:12, feet, 1] -= 1.0
     confidence[:12, feet] = 0.0
@@ -112,7 +112,7 @@ def test_without_any_measured_foot_the_lowest_joint_serves(skeleton: Skeleton) -
         standard_body(skeleton),
     )
     confidence = np.ones(positions.shape[:2])
-    confidence[:, feet_of(skeleton)] = 0.0
+    confidence[:, planted_feet(skeleton)] = 0.0
     assert floor_height(positions, confidence, no_stance(20), body) == pytest.approx(
         0.7
     )

@@ -95,7 +95,10 @@ def test_weights_are_what_the_kernel_with_random_effects_says(
     people = list(people_in(_lessons(), learner._WEIGHT, learner._MOST))
     assert len(people) == 6
     count = len(model.weights_) - len(model.mean_)
-    arm, first = model._described.parts[0], 3 * len(model._described.parts[0].joints)
+    arm, first = (
+        model._posture_features.parts[0],
+        3 * len(model._posture_features.parts[0].joints),
+    )
     random = RandomFeatures(model.mean_, count, 0, arm.weights)
     rows = random(np.concatenate([p.features for p in people])).astype(float)
     shared = rows @ rows.T
@@ -186,15 +189,17 @@ def test_a_take_is_the_same_in_chunks(
 def test_live_features_are_those_of_takes_without_what_comes_after(
     model: FourierRidge,
 ) -> None:
-    points = model._described.points(_lessons().positions[:40])
+    points = model._posture_features.points(_lessons().positions[:40])
     time, toward = np.arange(40) / 30.0, np.tile([0.0, 1.0], (40, 1))
-    whole = model._described(points, points, time, time, toward)
+    whole = model._posture_features(points, points, time, time, toward)
     for k in (0, 1, 9, 39):
         past = slice(0, k + 1)
-        live = model._described(
+        live = model._posture_features(
             points[[k]], points[past], time[[k]], time[past], toward[[k]], live=True
         )
-        np.testing.assert_allclose(live[0], whole[k, model._described.live], atol=1e-6)
+        np.testing.assert_allclose(
+            live[0], whole[k, model._posture_features.live], atol=1e-6
+        )
 
 
 def test_movement_is_by_time_and_not_by_frames(model: FourierRidge) -> None:
@@ -330,7 +335,7 @@ def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
     takes = {"stranger": None, "ann": "ann", "nobody": "nobody"}
     left = {}
     for name, person in takes.items():
-        knowing.know(person)
+        knowing.select_person(person)
         for k, made in enumerate(
             (
                 knowing.whole(_observation(own[ann])).positions,

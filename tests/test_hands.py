@@ -19,7 +19,7 @@ def _bent(skeleton: Skeleton) -> tuple[Array, Array, list[int], list[int]]:
     """Return rest and a left forearm turned to the front, its hand left behind."""
     before = standard_body(skeleton).rest_positions
     elbow, wrist = (skeleton.index(f"{part}Left") for part in ("Elbow", "Wrist"))
-    hand = skeleton.beyond(wrist)
+    hand = skeleton.descendants(wrist)
     forearm = [wrist, *hand]
     after, turned = before.copy(), before.copy()
     swung = rotate(about_y(-0.5 * np.pi), before[forearm] - before[elbow])
@@ -71,7 +71,7 @@ def test_straight_hands_lie_along_their_forearms_as_far_as_said() -> None:
     share[3:, index("HandLeft")] = np.linspace(0.25, 1.0, 4)
     straight = Hands(KINECT_V2).straightened(positions, share, body)
     elbow, wrist, hand = (index(part + "Left") for part in ("Elbow", "Wrist", "Hand"))
-    moved = [hand, *KINECT_V2.beyond(hand)]
+    moved = [hand, *KINECT_V2.descendants(hand)]
     others = [j for j in range(len(KINECT_V2)) if j not in moved]
     np.testing.assert_array_equal(straight[:, others], positions[:, others])
     np.testing.assert_array_equal(straight[:3], positions[:3])

@@ -122,12 +122,12 @@ def test_what_learns_is_taught_by_other_people(
 ) -> None:
     taught: list[list[str]] = []
 
-    class Watched(hidden_limbs.School):
+    class Watched(hidden_limbs.CorrectorFactory):
         def __init__(self, train: list[PairedTake], *of: Any, **rest: Any) -> None:
             taught.append([one.subject for one in train])
             super().__init__(train, *of, **rest)
 
-    monkeypatch.setattr(hidden_limbs, "School", Watched)
+    monkeypatch.setattr(hidden_limbs, "CorrectorFactory", Watched)
     pairs = [pair, *(replace(pair, subject=name) for name in ("s02", "s03"))]
     options = HiddenLimbs(("left-arm",), guess="drift")
     presets = ["shen-2012:neighbors=3", "wang-low-rank"]

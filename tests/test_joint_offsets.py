@@ -23,7 +23,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct import Correction, Hold, InTurn, Observation
+from kinefilter.pipeline.correct import Correction, CorrectorChain, Hold, Observation
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.factory import default_corrector
@@ -128,7 +128,7 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     posture = _postures(KINECT_V1)[0].copy()
     posture[KINECT_V1.index("HandLeft")] = np.nan
     watch = Watch(KINECT_V1)
-    InTurn(_made_up(KINECT_V1), watch, skeleton=KINECT_V1).step(_seen(posture))
+    CorrectorChain(_made_up(KINECT_V1), watch, skeleton=KINECT_V1).step(_seen(posture))
     np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
 
@@ -216,7 +216,7 @@ def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
     reliability = np.ones(len(posture))
     reliability[[hand, wrist]] = 0.0
     watch = Watch(KINECT_V1)
-    methods = InTurn(
+    methods = CorrectorChain(
         _made_up(KINECT_V1), watch, skeleton=KINECT_V1, least_reliability=0.65
     )
     methods.step(Observation(posture, reliability, reliability))

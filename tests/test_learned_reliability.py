@@ -34,7 +34,7 @@ from kinefilter.pipeline.lab.scorers.learned import (
     LearnedReliabilityScorer,
     learned_weights,
 )
-from kinefilter.pipeline.lab.simulate import furnished_pairs, simulate
+from kinefilter.pipeline.lab.simulate import pairs_with_props, simulate
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.scenes.library import perform
@@ -231,7 +231,7 @@ def test_weights_of_another_skeleton_or_none_are_refused(tmp_path: Path) -> None
 
 
 def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:
-    pairs = furnished_pairs("kinect_v1", people=20)
+    pairs = pairs_with_props("kinect_v1", people=20)
     seeds = [int(pair.clip.rpartition("_e")[2]) for pair in pairs]
     assert len(set(seeds)) == 20
     assert max(seeds) < 1000

@@ -17,7 +17,7 @@ from kinefilter.pipeline.live.endpoints import (
     MAX_CONNECTIONS,
     Address,
     listening_host,
-    read_address,
+    parse_address,
 )
 from kinefilter.pipeline.live.messages import (
     Frame,
@@ -173,12 +173,12 @@ def test_time_stamps_tell_late_repeated_missing_and_new_clocks() -> None:
 )
 def test_what_is_no_address_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="expected one of"):
-        read_address(text, ("udp", "ws", "-"))
+        parse_address(text, ("udp", "ws", "-"))
 
 
 def test_addresses_read_as_they_are_written() -> None:
     for text in ("udp://127.0.0.1:9000", "ws://[::1]:0", "-"):
-        assert str(read_address(text, ("udp", "ws", "-"))) == text
+        assert str(parse_address(text, ("udp", "ws", "-"))) == text
 
 
 def test_nothing_listens_to_other_machines_unless_it_is_said() -> None:

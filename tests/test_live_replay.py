@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
 
-from kinefilter.pipeline.live.endpoints import read_address
+from kinefilter.pipeline.live.endpoints import parse_address
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of, open_sender, replay
 
@@ -65,7 +65,7 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
     async def session() -> None:
         async with running(config(source=WS)) as (_, (source, _)):
             pass
-        address = read_address(str(source), ("ws",))
+        address = parse_address(str(source), ("ws",))
         async with open_sender(address) as send:  # nobody is there
             assert not await send("lost")
             again = config(source=str(source))

@@ -51,7 +51,7 @@ def _answer(sensors: Sensors, times: int = 2) -> None:
 
 def _told(sensors: Sensors, now: float) -> list[str]:
     sensors.update_notes(now)
-    return sensors.tally.told()
+    return sensors.tally.all_notes()
 
 
 def test_a_sensor_joins_where_two_answers_agree() -> None:

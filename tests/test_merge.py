@@ -58,7 +58,7 @@ def session(
     return Session(
         (takes[0], takes[1]),
         (views[0].pair.truth, views[1].pair.truth),
-        second.at(first.undone(middle)) - middle,
+        second.at(first.inverse(middle)) - middle,
         placement(there, here),
     )
 
@@ -347,7 +347,9 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_standing_people_do_not_tell_where_sensors_are() -> None:
     made = merge([_standing(take) for take in session(4).takes])
-    assert ["unsure" in note or "30 degrees" in note for note in made.told()] == [True]
+    assert ["unsure" in note or "30 degrees" in note for note in made.all_notes()] == [
+        True
+    ]
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the recordings")

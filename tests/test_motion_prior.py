@@ -15,15 +15,20 @@ from kinefilter.pipeline.lab.limb_lessons import (
     Recording,
     joined,
     read_lessons,
-    teach_limbs,
-    worth,
+    relative_errors,
+    train_prior,
 )
 from kinefilter.pipeline.lab.simulate import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
-from kinefilter.pipeline.reconstruct.hidden_limbs import seen_motion
+from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import default_prior, inputs_of
-from kinefilter.pipeline.reconstruct.windows import Limb, Seen, Stretches, describe
+from kinefilter.pipeline.reconstruct.windows import (
+    BridgedMotion,
+    Limb,
+    Stretches,
+    describe,
+)
 
 Array = NDArray[np.float64]
 START, LENGTH = np.array([20]), 40
@@ -31,22 +36,24 @@ AT = np.arange(LENGTH)[None]
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-def moving(skeleton: Skeleton, seed: int) -> Seen:
+def moving(skeleton: Skeleton, seed: int) -> BridgedMotion:
     """Return somebody every joint of whom goes to and fro by itself."""
     rng, count = np.random.default_rng(seed), 80
     time = np.arange(count) / 30.0
     phase, rate, far = rng.uniform(0.0, 6.0, (3, len(skeleton), 3))
     swing = 0.01 * far * np.sin(rate * time[:, None, None] + phase)
-    return seen_motion(time, standard_body(skeleton).rest_positions + swing, skeleton)
+    return bridged_motion(
+        time, standard_body(skeleton).rest_positions + swing, skeleton
+    )
 
 
-def mirrored(seen: Seen) -> Seen:
+def mirrored(seen: BridgedMotion) -> BridgedMotion:
     """Return the mirror image."""
     positions = seen.heading.restore(seen.positions)[:, seen.skeleton.mirror] * MIRROR
-    return seen_motion(np.arange(len(positions)) / 30.0, positions, seen.skeleton)
+    return bridged_motion(np.arange(len(positions)) / 30.0, positions, seen.skeleton)
 
 
-def hidden(seen: Seen, which: int, *others: int) -> Limb:
+def hidden(seen: BridgedMotion, which: int, *others: int) -> Limb:
     """Return a limb of ``limbs`` that is hidden, and others with it."""
     known = np.ones(len(seen.skeleton))
     for limb in (which, *others):
@@ -56,7 +63,7 @@ def hidden(seen: Seen, which: int, *others: int) -> Limb:
     return found
 
 
-def stretch(seen: Seen, limb: Limb, *, ahead: bool) -> Stretches:
+def stretch(seen: BridgedMotion, limb: Limb, *, ahead: bool) -> Stretches:
     """Return the middle of the motion, in which a limb is hidden."""
     return Stretches(seen, limb, START, LENGTH, AT, ahead)
 
@@ -113,10 +120,12 @@ def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:
     def rows(some: list[str]) -> list[Lesson]:
         return [lesson for lesson in lessons if lesson.person in some]
 
-    prior = teach_limbs(joined(rows(people)))
-    found = worth(prior, joined(rows(people)))
+    prior = train_prior(joined(rows(people)))
+    found = relative_errors(prior, joined(rows(people)))
     assert found["arm_between"] < 90.0
     assert found["leg_between"] < 95.0
     write_arrays(tmp_path / "weights.npz", prior.arrays())
-    again = worth(MotionPrior.load(tmp_path / "weights.npz"), joined(rows(people)))
+    again = relative_errors(
+        MotionPrior.load(tmp_path / "weights.npz"), joined(rows(people))
+    )
     assert again == pytest.approx(found, abs=0.5)

@@ -23,8 +23,8 @@ from kinefilter.characters.rotations import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_bvh, read_clip, write_clip
-from kinefilter.pipeline.formats.rig import Travel
-from kinefilter.pipeline.formats.shaping import kept_still, shaped
+from kinefilter.pipeline.formats.rig import RootMotion
+from kinefilter.pipeline.formats.shaping import shaped, with_root_motion
 from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.retarget.heading_frame import floor_frame
 
@@ -127,24 +127,27 @@ def test_the_same_part_at_another_rate_begins_where_it_does(
 
 @every_travel
 def test_csv_keeps_the_places_that_are_left(
-    walk: Clip, tmp_path: Path, root: Travel
+    walk: Clip, tmp_path: Path, root: RootMotion
 ) -> None:
     write_clip(walk, tmp_path / "clip.csv", Export(root=root))
-    away = kept_still(walk, root).positions - read_clip(tmp_path / "clip.csv").positions
+    away = (
+        with_root_motion(walk, root).positions
+        - read_clip(tmp_path / "clip.csv").positions
+    )
     assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
 
 
 @every_format
 @every_travel
 def test_every_format_keeps_what_is_left(
-    walk: Clip, tmp_path: Path, suffix: str, root: Travel
+    walk: Clip, tmp_path: Path, suffix: str, root: RootMotion
 ) -> None:
     write_clip(walk, tmp_path / f"clip{suffix}", Export(root=root))
-    assert same(kept_still(walk, root), read_clip(tmp_path / f"clip{suffix}"))
+    assert same(with_root_motion(walk, root), read_clip(tmp_path / f"clip{suffix}"))
 
 
 def test_in_place_only_the_way_is_gone(walk: Clip) -> None:
-    there = kept_still(walk, "in-place")
+    there = with_root_motion(walk, "in-place")
     np.testing.assert_allclose(there.root[:, [0, 2]], 0.0, atol=1e-12)
     from_root = walk.positions - walk.root[:, None] * [1.0, 0.0, 1.0]
     np.testing.assert_allclose(there.positions, from_root, atol=1e-12)
@@ -153,7 +156,7 @@ def test_in_place_only_the_way_is_gone(walk: Clip) -> None:
 
 def test_without_a_way_they_face_ahead_in_the_same_postures(walk: Clip) -> None:
     assert np.ptp(yaw_of(walk)) > 0.3
-    there = kept_still(walk, "none")
+    there = with_root_motion(walk, "none")
     np.testing.assert_allclose(yaw_of(there), 0.0, atol=1e-9)
     np.testing.assert_allclose(there.root[:, [0, 2]], 0.0, atol=1e-12)
     np.testing.assert_allclose(there.positions[..., 1], walk.positions[..., 1])
@@ -171,10 +174,10 @@ def test_without_a_way_they_face_ahead_in_the_same_postures(walk: Clip) -> None:
 
 @every_travel
 def test_props_stay_where_the_person_has_them(
-    walk: Clip, furnish: Callable[[Clip], Clip], root: Travel
+    walk: Clip, furnish: Callable[[Clip], Clip], root: RootMotion
 ) -> None:
     furnished = furnish(walk)
-    there = kept_still(furnished, root)
+    there = with_root_motion(furnished, root)
     for before, after in zip(furnished.props, there.props, strict=True):
         seen = [
             rotate(
@@ -255,7 +258,7 @@ THIGHS = {
 
 @every_travel
 def test_bvh_and_usd_have_a_rig_in_the_same_places(
-    walk: Clip, tmp_path: Path, root: Travel
+    walk: Clip, tmp_path: Path, root: RootMotion
 ) -> None:
     for suffix in ("bvh", "usda"):
         write_clip(walk, tmp_path / f"clip.{suffix}", Export(rig="unreal", root=root))

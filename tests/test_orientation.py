@@ -29,7 +29,7 @@ from kinefilter.characters.rotations import (
     rotate,
     rotation_vector,
 )
-from kinefilter.retarget import hang_missing, rotations_from_positions
+from kinefilter.retarget import fill_missing_joints, rotations_from_positions
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -224,7 +224,7 @@ def test_what_is_missing_hangs_on_its_parent_as_at_rest(skeleton: Skeleton) -> N
     expected = positions_from_rotations(turns, root, body)
     holed = whole.copy()
     holed[1:, gone] = np.nan
-    hung = hang_missing(holed, body)
+    hung = fill_missing_joints(holed, body)
     np.testing.assert_allclose(hung, expected, atol=1e-7)
     np.testing.assert_array_equal(hung[0], whole[0])
     assert np.isnan(holed[1:, gone]).all()

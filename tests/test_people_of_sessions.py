@@ -86,7 +86,7 @@ def test_who_is_exchanged_by_one_sensor_is_put_right_by_the_other(body: int) -> 
     alone = merge([first[body - 1], second[body - 1]])
     assert apart(made.take, alone.take) < 0.15
     assert np.nanmax(made.residuals[:, :, KINECT_V2.root]) < 0.3
-    assert any("are the same person" in note for note in made.told())
+    assert any("are the same person" in note for note in made.all_notes())
 
 
 def test_a_sensor_that_does_not_see_the_person_is_left_out() -> None:
@@ -95,7 +95,7 @@ def test_a_sensor_that_does_not_see_the_person_is_left_out() -> None:
     assert made.sources == ("sensor1.csv, body 2",)
     assert apart(made.take, first[1]) < 0.05
     assert "sensor2.csv: does not show this person, and is left out" in list(
-        made.told()
+        made.all_notes()
     )
 
 

@@ -90,11 +90,11 @@ def test_a_reset_leaves_things_where_they_are(motion: Clip) -> None:
     ground = Playground(motion, "box")
     ground.throw([0.5, 1.0, 2.0], FORWARD)
     _chest(ground, 1.0)
-    before = ground.things.now[0].copy()
+    before = ground.scene_props.now[0].copy()
     ground.character.data.qvel[:3] = 1e5
     ground.step(1.0 / RATE)
     assert ground.resets == 1
-    assert np.abs(ground.things.now[0] - before).max() < 0.5
+    assert np.abs(ground.scene_props.now[0] - before).max() < 0.5
 
 
 def test_what_was_played_is_a_clip_with_the_balls_that_flew(

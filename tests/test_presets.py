@@ -13,7 +13,7 @@ from real_data import PAIRS, paired
 from kinefilter import CleanConfig, Cleaner, InputError, clean
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.correct import InTurn, LocalPCA
+from kinefilter.pipeline.correct import CorrectorChain, LocalPCA
 from kinefilter.pipeline.correct.posture_space import EnergyWeights
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.factory import make_corrector
@@ -21,7 +21,7 @@ from kinefilter.pipeline.field_types import converted, keyword_hints
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.methods.shum import LeastEnergy
 from kinefilter.pipeline.lab.simulate import simulate
-from kinefilter.pipeline.lab.systems import School, systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
 from kinefilter.pipeline.models import Model, load_model, save_model
@@ -238,7 +238,7 @@ def test_what_learns_is_taught_once_for_its_terms(pairs: list[PairedTake]) -> No
     first, second = systems_of(
         [], [f"liu-2016:{small}", f"liu-2016:{small}:temporal=0"]
     )
-    school = School(
+    school = CorrectorFactory(
         pairs, KINECT_V1, people=False, database=builtin_database(KINECT_V1)
     )
     whole, part = school.corrector(first), school.corrector(second)
@@ -248,7 +248,7 @@ def test_what_learns_is_taught_once_for_its_terms(pairs: list[PairedTake]) -> No
     np.testing.assert_array_equal(whole.features_, part.features_)
     assert (whole.temporal, part.temporal) == (0.2, 0.0)
     (both,) = systems_of(["joint-offsets+local-pca"])
-    assert isinstance(school.corrector(both), InTurn)
+    assert isinstance(school.corrector(both), CorrectorChain)
 
 
 def test_chiangs_reliability_gates_its_own_training(pairs: list[PairedTake]) -> None:

@@ -26,7 +26,7 @@ from kinefilter.pipeline.reconstruct.continuity import (
     bridge_matrix,
     coast,
 )
-from kinefilter.pipeline.reconstruct.foothold import between_ends, leg_to_goal
+from kinefilter.pipeline.reconstruct.foothold import leg_to_goal, middle_joint
 from kinefilter.pipeline.reconstruct.recall import Process
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def test_a_leg_reaches_its_goal_with_its_own_lengths(shift: list[float]) -> None
     new_knee, new_ankle = leg_to_goal(hip, knee, ankle, goal, (thigh, shin))
     if np.linalg.norm(goal - hip) < 0.99 * (thigh + shin):
         np.testing.assert_allclose(new_ankle, goal, atol=1e-9)
-        between, _ = between_ends(hip, new_knee, new_ankle, (thigh, shin))
+        between, _ = middle_joint(hip, new_knee, new_ankle, (thigh, shin))
         assert abs(np.linalg.norm(between - hip) - thigh) < 1e-9
         assert abs(np.linalg.norm(between - new_ankle) - shin) < 1e-9
 
@@ -192,7 +192,7 @@ def test_a_foot_that_stood_stays_while_the_body_sinks() -> None:
         )
         truth[:, [ankle, foot]] = truth[0, [ankle, foot]]
         limb, lengths = truth[:, [hip, knee, ankle]], BODY.lengths[[knee, ankle]]
-        truth[:, knee], _ = between_ends(*np.moveaxis(limb, 1, 0), lengths)
+        truth[:, knee], _ = middle_joint(*np.moveaxis(limb, 1, 0), lengths)
     gap = slice(20, 70)
     found = filled(truth, hidden_in(90, LEG, gap))
     assert error(found, truth, gap, LEG[:2]) < 0.03

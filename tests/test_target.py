@@ -26,7 +26,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
-from kinefilter.pipeline.target.feet import ankles_and_toes, feet_of, find_stance
+from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, planted_feet
 from kinefilter.pipeline.target.stages import Bones, Feet, Floor, Level, Orient, Smooth
 from kinefilter.scenes.library import perform
 
@@ -95,7 +95,7 @@ def test_contacts_say_heel_and_toes_of_both_feet(kick: Motion) -> None:
     target = target_of(kick)
     assert target.contacts.shape == (len(kick), len(CONTACTS))
     assert target.contacts.dtype == np.bool_
-    np.testing.assert_array_equal(target.stands, feet_of(target.contacts))
+    np.testing.assert_array_equal(target.stands, planted_feet(target.contacts))
     np.testing.assert_array_equal(target.contacts[:, 1::2], target.stands)
     # A heel is down only where its foot stands.
     assert not (target.contacts[:, ::2] & ~target.stands).any()

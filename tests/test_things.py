@@ -43,7 +43,7 @@ def things(
     rotations = np.tile(IDENTITY, (len(time), len(KINECT_V1), 1))
     character = PhysicsFilter(BODY, scene=tmp_path / "things.xml")
     result = character.run(time, positions, rotations)
-    return {prop.name: prop for prop in result.things.props(place)}
+    return {prop.name: prop for prop in result.scene_props.props(place)}
 
 
 def test_what_is_seen_is_there_and_what_is_not_is_not(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_without_a_scene_there_is_nothing() -> None:
     positions = np.tile(BODY.rest_positions, (3, 1, 1))
     rotations = np.tile(IDENTITY, (3, len(KINECT_V1), 1))
     result = PhysicsFilter(BODY).run(time, positions, rotations)
-    assert result.things.props(HERE) == ()
+    assert result.scene_props.props(HERE) == ()
 
 
 @pytest.fixture(scope="module")

@@ -95,7 +95,11 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
             result, merged = _clean(recordings, body, job)
-            notes = (*take_notes, *(merged.told() if merged else ()), *result.notes)
+            notes = (
+                *take_notes,
+                *(merged.all_notes() if merged else ()),
+                *result.notes,
+            )
             result = replace(result, notes=notes)
             paths = part_paths(path, len(result.clips))
             row["clips"] += tuple(

@@ -20,7 +20,7 @@ from kinefilter.pipeline.formats import (
     write_contacts,
     write_people,
 )
-from kinefilter.pipeline.formats.export import paced
+from kinefilter.pipeline.formats.export import with_frame_rate
 from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings
 
@@ -104,7 +104,7 @@ class Clean:
             paths = part_paths(numbered(self.out, clip), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                paced(
+                with_frame_rate(
                     settings.export,
                     self.out.suffix,
                     time[part],
@@ -208,7 +208,7 @@ class Clean:
                 calibration=read_calibration(settings.calibration),
                 progress=progress,
             )
-        notes = (*first.notes, *merged.told())
+        notes = (*first.notes, *merged.all_notes())
         return Recording((merged.take,), "merged", notes=notes), {1: result}, merged
 
     def _write_clips(self, result: CleanResult, body: int | None) -> list[Path]:

@@ -15,7 +15,7 @@ from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.live.background import meanwhile
 from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
-from kinefilter.pipeline.live.endpoints import read_address
+from kinefilter.pipeline.live.endpoints import parse_address
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.loopback import is_loopback
 
@@ -108,7 +108,7 @@ async def _show(session: Session) -> None:
                 display.update(line, refresh=True)
             else:
                 err.print(status(session))
-            notes = session.tally.told()
+            notes = session.tally.all_notes()
             for note in notes:
                 if note not in printed:
                     err.print(note)
@@ -155,7 +155,7 @@ def summary(tally: Tally) -> Table:
             table.add_row(str(event), str(tally.events[event]))
     for reason, count in sorted(tally.malformed.items()):
         table.add_row(f"malformed: {reason}", str(count))
-    for note in tally.told():
+    for note in tally.all_notes():
         table.add_row("note", note)
     if tally.events[Event.POSES]:
         latency = tally.latency
@@ -187,7 +187,7 @@ class Replay:
 
     def run(self) -> int:
         """Send the take, until it ends or a signal arrives."""
-        address = read_address(self.out, ("udp", "ws", "wss", "-"))
+        address = parse_address(self.out, ("udp", "ws", "wss", "-"))
         takes = read_recording(self.take, format=self.format).takes
         sent = asyncio.run(self._sent(takes, address))
         err.print(f"sent {counted(sent, 'frame')} of {takes[0].skeleton.name}")

@@ -79,7 +79,7 @@ class Merge:
             write_calibration(merged, self.save_calibration)
         write_json(merged.figures(), self.json)
         out.print(_as_table(merged))
-        for note in merged.told():
+        for note in merged.all_notes():
             out.print(note)
         out.print(
             f"wrote {', '.join(str(path) for path in written if path is not None)}"

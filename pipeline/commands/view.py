@@ -173,7 +173,7 @@ class View:
                 edits=edits,
                 progress=progress,
             )
-            for note in merged.told():
+            for note in merged.all_notes():
                 out.print(note)
             return Drawing.of(result, merged.take, merged)
 

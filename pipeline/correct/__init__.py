@@ -1,15 +1,15 @@
 """Correction methods, one file each; ``pipeline.methods`` lists them by name."""
 
 from .hold import Hold
-from .interface import Correction, Corrector, InTurn, Observation
+from .interface import Correction, Corrector, CorrectorChain, Observation
 from .learned import LearnedCorrector
 from .local_pca import LocalPCA
 
 __all__ = [
     "Correction",
     "Corrector",
+    "CorrectorChain",
     "Hold",
-    "InTurn",
     "LearnedCorrector",
     "LocalPCA",
     "Observation",

@@ -84,8 +84,8 @@ class FourierRidge(LearnedCorrector):
 
     def __init__(self, skeleton: Skeleton) -> None:
         super().__init__(skeleton)
-        self._described = PostureFeatures(skeleton)
-        self.joints_ = self._described.joints
+        self._posture_features = PostureFeatures(skeleton)
+        self.joints_ = self._posture_features.joints
         self._parents = np.array(skeleton.parents)
         self._hangs = (self._parents >= 0)[:, None]
         self._chain, self._hands = chain_matrix(skeleton), Hands(skeleton)
@@ -105,7 +105,10 @@ class FourierRidge(LearnedCorrector):
         self._means: tuple[Any, ...] = ()
 
     def _prepare(self) -> None:
-        parts, every = self._described.parts, np.ones(len(self.mean_), dtype=bool)
+        parts, every = (
+            self._posture_features.parts,
+            np.ones(len(self.mean_), dtype=bool),
+        )
         centers = [(every, self.centers_), (every, self.far_centers_)]
         of_parts = (self.arm_centers_, self.leg_centers_, self.trunk_centers_)
         centers += zip((part.own for part in parts), of_parts, strict=True)
@@ -113,10 +116,10 @@ class FourierRidge(LearnedCorrector):
         self._features = list[list[RandomFeatures]]()
         self._centers = list[list[tuple[Flags, Singles, Singles]]]()
         self._mirrors = list[tuple[Indices, Singles]]()
-        order, signs = self._described.mirror
+        order, signs = self._posture_features.mirror
         for weights, columns in (
             (self.weights_, np.arange(len(every))),
-            (self.live_weights_, self._described.live),
+            (self.live_weights_, self._posture_features.live),
         ):
             mean, seed = self.mean_[columns], int(self.seed_)
             count = len(weights) - len(mean)
@@ -130,9 +133,9 @@ class FourierRidge(LearnedCorrector):
                 kept = np.isin(np.flatnonzero(own), columns)
                 near = np.ascontiguousarray(found[:, kept])
                 self._centers[-1].append((own[columns], near, np.sum(near**2, axis=1)))
-        self.know(None)
+        self.select_person(None)
 
-    def know(self, person: str | None) -> None:
+    def select_person(self, person: str | None) -> None:
         """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
@@ -157,7 +160,7 @@ class FourierRidge(LearnedCorrector):
         These are of the whole posture to frontal and to side-on training data, shape
         (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
-        described, (order, signs) = self._described, self._mirrors[live]
+        described, (order, signs) = self._posture_features, self._mirrors[live]
         sides = (features, features[:, order] * signs)
         whole, by_part = self._centers[live][:2], self._centers[live][2:]
         offsets, parts = [], []
@@ -180,13 +183,13 @@ class FourierRidge(LearnedCorrector):
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)
-        points = self._described.points(posture)
+        points = self._posture_features.points(posture)
         count = len(points)
         offsets = np.empty((2, *points.shape))
         similar, parts = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for some in chunks(count, _CHUNK):
-            features = self._described(
+            features = self._posture_features(
                 points[some], points, take.time[some], take.time, toward[some]
             )
             predicted = self._predict(features, live=False)
@@ -207,13 +210,13 @@ class FourierRidge(LearnedCorrector):
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         posture = self._hold.step(observation).positions
-        points, now = self._described.points(posture), float(observation.time)
+        points, now = self._posture_features.points(posture), float(observation.time)
         elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
         self._past = past = [*past, (now, points)]
         times, around = np.array([t for t, _ in past]), np.array([x for _, x in past])
         toward = direction_to(observation.sensor, 1)
-        features = self._described(
+        features = self._posture_features(
             points[None], around, np.array([now]), times, toward, live=True
         )
         ((near,), (far,)), (similar,), (parts,) = self._predict(features, live=True)
@@ -231,7 +234,7 @@ class FourierRidge(LearnedCorrector):
 
     def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures plus the offsets, weighted by similarity."""
-        side = found.toward[..., :1] * self._described.sides
+        side = found.toward[..., :1] * self._posture_features.sides
         off_frontal = _off_frontal_share(side, found.similar)
         far_side = np.where(side < 0.0, off_frontal, 0.0)
         share = _ramp(found.parts, self._strange, self._familiar)
@@ -241,7 +244,7 @@ class FourierRidge(LearnedCorrector):
         offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
         offsets = offsets + far_side[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
-        shift = offsets[..., self._described.carrier, :]
+        shift = offsets[..., self._posture_features.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
             of_parent = shift[..., self.skeleton.parents[j], :]
             own = shift[..., j, :]
@@ -249,13 +252,13 @@ class FourierRidge(LearnedCorrector):
         moved = posture + shift
         if far_side.any():
             # A hand behind the body is a guess of the sensor, too.
-            hidden = far_side[..., self._described.carrier]
+            hidden = far_side[..., self._posture_features.carrier]
             moved = self._hands.straightened(moved, hidden, self._body)
         if seen.lengths is not None and self._person is None:
-            odd = self._described.proportions(seen.lengths) - self.bones_
+            odd = self._posture_features.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * found.share * odd)[..., None]
             bones = moved - moved[..., self._parents, :] * self._hangs
-            bones[..., self._described.limbs, :] *= scale
+            bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])

@@ -87,7 +87,7 @@ class Hold(Corrector):
         self._rest = rest - rest[skeleton.root]
         self._parents = skeleton.parents
         ends = [*skeleton.sides("Wrist"), *skeleton.sides("Ankle")]
-        self._tips = [tip for end in ends for tip in skeleton.beyond(end)]
+        self._tips = [tip for end in ends for tip in skeleton.descendants(end)]
         self.start()
 
     def start(self) -> None:

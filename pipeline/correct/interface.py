@@ -72,7 +72,7 @@ class Corrector:
     def start(self) -> None:
         """Reset the state for a new motion."""
 
-    def know(self, person: str | None) -> None:
+    def select_person(self, person: str | None) -> None:
         """Select a person from the training data by name; others are strangers."""
 
     def step(self, observation: Observation) -> Correction:  # noqa: ARG002 - refused
@@ -104,7 +104,7 @@ def measured_only(positions: Array) -> Correction:
     return Correction(positions, None, confidence, coverage)
 
 
-class InTurn(Corrector):
+class CorrectorChain(Corrector):
     """Runs several methods one after the other, each on the result of the one before.
 
     Joints that were not measured stay missing for all of them. Confidence, rotations
@@ -128,10 +128,10 @@ class InTurn(Corrector):
         for method in self.methods:
             method.start()
 
-    def know(self, person: str | None) -> None:
+    def select_person(self, person: str | None) -> None:
         """Select a person from the training data by name; others are strangers."""
         for method in self.methods:
-            method.know(person)
+            method.select_person(person)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""

@@ -13,21 +13,21 @@ from .displaced import find_displaced
 from .gross import (
     Failure,
     FailureKind,
+    describe_failures,
     distrust,
     find_failures,
-    told_failures,
     unmirrored,
-    without_nobody,
+    without_impossible_bodies,
 )
 
 __all__ = [
     "Failure",
     "FailureKind",
     "ImpossibleBodies",
+    "describe_failures",
     "distrust",
     "find_displaced",
     "find_failures",
-    "told_failures",
     "unmirrored",
-    "without_nobody",
+    "without_impossible_bodies",
 ]

@@ -85,7 +85,7 @@ class Failure:
         return replace(self, first=self.first + frames, last=self.last + frames)
 
 
-def told_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
+def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
     """Return a sentence for each kind of failure and part: when, and the remedy.
 
     Times are relative to ``begin``, the time stamp of the first frame [s].
@@ -109,11 +109,11 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
         return ()
     time, kind = take.time, FailureKind
     found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
-    take = without_nobody(take, found)
+    take = without_impossible_bodies(take, found)
     wrong, jumps = misplaced_frames(take)
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
-    take = without_nobody(take, found)
+    take = without_impossible_bodies(take, found)
     found += stretches(time, kind.MIRRORED, "body", _mirrored(take))
     take = unmirrored(take, found)  # sides are named as they are once swapped back
     for side in SIDES:
@@ -154,7 +154,7 @@ def distrust(
         if failure.kind in _DISTRUSTED:
             side, limb = failure.part.split()
             top = skeleton.index(LIMBS[limb][0] + side.capitalize())
-            joints = skeleton.beyond(top)
+            joints = skeleton.descendants(top)
             reliability[failure.frames, joints] = 0.0
             geometry[failure.frames, joints] = 0.0
             term[failure.frames, joints] = Term.FAILURE
@@ -174,7 +174,7 @@ def _mirrored(take: Take) -> Flags:
     return frames if frames.mean() <= 0.5 else ~frames
 
 
-def without_nobody(take: Take, failures: Iterable[Failure]) -> Take:
+def without_impossible_bodies(take: Take, failures: Iterable[Failure]) -> Take:
     """Return a take with no joints in frames with an impossible body."""
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
@@ -202,7 +202,7 @@ def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
             before = sum(_jump(take, *edge, swap=False) for edge in edges)
             after = sum(_jump(take, *edge, swap=True) for edge in edges)
             frames[failure.frames] = after < _REPAIRED * before
-    return take.exchanged(frames) if frames.any() else take
+    return take.swapped(frames) if frames.any() else take
 
 
 def _jump(take: Take, inside: int, outside: int, *, swap: bool) -> float:

@@ -22,13 +22,16 @@ from kinefilter.characters.arrays import Array, check_kind
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget.looping import repeated
-from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
+from kinefilter.retarget.orientation import (
+    fill_missing_joints,
+    rotations_from_positions,
+)
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
-from .export import USD_SUFFIXES, Export, paced, with_y_up
+from .export import USD_SUFFIXES, Export, with_frame_rate, with_y_up
 from .fbx import blender_command, write_fbx
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
@@ -86,7 +89,7 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     suffix = path.suffix.lower()
     if suffix == ".vrma":
         export = replace(export, rig="vrm")
-    export = paced(export, suffix, clip.time, clip.source)
+    export = with_frame_rate(export, suffix, clip.time, clip.source)
     clip = shaped(clip, export)
     if suffix == ".csv":
         write_take_csv(clip, path)
@@ -109,7 +112,7 @@ def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
     Raises InputError as ``write_clip``.
     """
     check_writable(path, export)
-    paces = [paced(export, ".glb", clip.time, clip.source) for clip in clips]
+    paces = [with_frame_rate(export, ".glb", clip.time, clip.source) for clip in clips]
     clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
     motions = map(_rig_motion, clips, paces)
     write_glb([*zip(clips, motions, strict=True)], path, export)
@@ -189,7 +192,9 @@ def _clip_of_take(take: Take) -> Clip:
             "this is a raw take: clean it, or draw it beside its clip with --compare"
         )
     body = measure_body(take)
-    rotations = rotations_from_positions(hang_missing(take.positions, body), body)
+    rotations = rotations_from_positions(
+        fill_missing_joints(take.positions, body), body
+    )
     root = take.positions[:, take.skeleton.root]
     motion = Motion(
         time=take.time, body=body, root=root, rotations=rotations, source=take.source

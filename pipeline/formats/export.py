@@ -22,13 +22,13 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.arrays import Array, chunks
-from kinefilter.characters.gaps import LONG_GAP, long_gaps, told_gaps
+from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
 from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
 
 from .recording import FRAMES_AT_ONCE, MOST_FRAMES
-from .rig import Travel
+from .rig import RootMotion
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 PER_FRAME = {
@@ -99,7 +99,7 @@ class Export:
     loop: bool = False
     """Blend the end of the clip into its beginning: the last frame has the posture of
     the first, wherever the person has gone and faces by then. Planted feet stay put."""
-    root: Travel = "travel"
+    root: RootMotion = "travel"
     """Root motion: travel keeps all of it (on a rig with a root bone on the floor, such
     as unreal's, that bone travels and turns); in-place keeps only turns, for games that
     move the character themselves; none keeps the hips over the origin, facing +z."""
@@ -194,9 +194,9 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     held = sum(end - start for start, end in gaps)
     if held > _LONGEST_HELD:
         raise InputError(
-            f"{source}: {told_gaps(gaps, time[0])[0]}; the character would hold still "
-            f"for {held:.4g} s in all, expected {_LONGEST_HELD:g} s at most; split the "
-            "take with --gaps split"
+            f"{source}: {describe_gaps(gaps, time[0])[0]}; the character would hold "
+            f"still for {held:.4g} s in all, expected {_LONGEST_HELD:g} s at most; "
+            "split the take with --gaps split"
         )
     if count > MOST_FRAMES:
         raise InputError(
@@ -229,7 +229,7 @@ def span_of(export: Export, time: Array, source: str) -> slice:
     return slice(int(first), int(stop))
 
 
-def paced(export: Export, suffix: str, time: Array, source: str) -> Export:
+def with_frame_rate(export: Export, suffix: str, time: Array, source: str) -> Export:
     """Return the settings with the frame rate that a file needs.
 
     FBX, and npz of a rig, always have even frames; so does BVH, which has no time

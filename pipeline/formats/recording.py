@@ -148,7 +148,7 @@ def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
         raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
-def missing_marked(positions: Array, state: Codes) -> tuple[Array, Codes]:
+def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:
     """Set missing joints to NaN in positions (..., 3) and to not tracked in states.
 
     A joint is missing if it is not tracked, not a number or exactly at the origin,
@@ -170,7 +170,7 @@ def takes_of_rows(
     """
     check_length(len(time), source)
     check_rate(time, source)
-    positions, state = missing_marked(positions, state)
+    positions, state = mark_missing(positions, state)
     check_extent(positions, source)
     stamps, sightings = _sightings(time, positions, state, skeleton.root)
     if sightings:
@@ -304,7 +304,7 @@ def takes_of_people(
             where = f"{source}: frame {sighting.frame + 1}"
             raise InputError(f"{where} has body {sighting.body} twice; delete one")
         others.append(row)
-    positions, state = missing_marked(
+    positions, state = mark_missing(
         np.reshape([sighting.positions for sighting in sightings], (-1, joints, 3)),
         np.reshape([sighting.state for sighting in sightings], (-1, joints)),
     )

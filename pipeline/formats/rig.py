@@ -16,7 +16,7 @@ from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.retargeting import Retargeted, rig_frame, segment_of
 from kinefilter.retarget.target_rig import TargetRig
 
-Travel = Literal["travel", "in-place", "none"]
+RootMotion = Literal["travel", "in-place", "none"]
 """Root motion that is kept: all of it, only the turns, or none."""
 
 
@@ -184,7 +184,10 @@ def own_motion(clip: Clip) -> RigMotion:
 
 
 def retargeted_motion(
-    target: TargetRig, motion: Retargeted, skeleton: Skeleton, travel: Travel = "travel"
+    target: TargetRig,
+    motion: Retargeted,
+    skeleton: Skeleton,
+    travel: RootMotion = "travel",
 ) -> RigMotion:
     """Return a motion of the sensor's skeleton on a target, with the root motion."""
     rest, mover = target.rest, target.joint("pelvis")

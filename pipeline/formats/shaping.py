@@ -11,7 +11,7 @@ from kinefilter.retarget.heading_frame import HeadingFrame, floor_frame
 from kinefilter.retarget.looping import looped
 
 from .export import Export, in_strict_t, resampled, span_of
-from .rig import Travel
+from .rig import RootMotion
 
 
 def shaped(clip: Clip, export: Export) -> Clip:
@@ -27,10 +27,10 @@ def shaped(clip: Clip, export: Export) -> Clip:
     if export.loop:
         clip = looped(clip)
     clip = in_strict_t(clip) if export.rest == "t" else clip
-    return kept_still(clip, export.root) if export.rig is None else clip
+    return with_root_motion(clip, export.root) if export.rig is None else clip
 
 
-def kept_still(clip: Clip, travel: Travel) -> Clip:
+def with_root_motion(clip: Clip, travel: RootMotion) -> Clip:
     """Return a clip with only the root motion of ``travel``; props follow the root."""
     if travel == "travel":
         return clip

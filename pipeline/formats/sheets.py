@@ -34,7 +34,7 @@ from .recording import (
     STATES,
     Recording,
     check_length,
-    missing_marked,
+    mark_missing,
     open_rows,
     takes_of_rows,
 )
@@ -260,7 +260,7 @@ def _frames(
         reader.refuse(block, column, np.isnan(time), empty)
         late = "is {:.3g}, expected a time; correct or delete the row"
         reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    return block.rows, time, *missing_marked(positions, state)
+    return block.rows, time, *mark_missing(positions, state)
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:

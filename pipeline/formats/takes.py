@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from kinefilter.characters import InputError, Take
-from kinefilter.characters.arrays import check_word
+from kinefilter.characters.arrays import check_choice
 
 from .files import AnyPath, beginning, check_file
 from .recording import Recording, at_rate, open_rows
@@ -123,7 +123,7 @@ def read_recording(
     """Read all takes in a file, and its format; raises InputError as read_take."""
     source = os.fspath(check_file(path))
     if format is not None:
-        check_word(format, FORMATS, "take format")
+        check_choice(format, FORMATS, "take format")
     with Path(source).open("rb") as file:
         if file.read(8).startswith(_CLIPS):
             raise InputError(f"{source}: is a clip or an archive; give the take")

@@ -24,7 +24,10 @@ from kinefilter.pipeline.reliability import (
 )
 from kinefilter.retarget.body_size import Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.retarget.orientation import hang_missing, rotations_from_positions
+from kinefilter.retarget.orientation import (
+    fill_missing_joints,
+    rotations_from_positions,
+)
 
 from .spool import Spool
 
@@ -150,7 +153,7 @@ def standard_postures(
     postures, view = Standardizer(body).steps(positions, weights)
     if rotations is not None:
         rotations = view.remove_rotations(rotations)
-    postures = hang_missing(postures, standard)
+    postures = fill_missing_joints(postures, standard)
     return postures, rotations_from_positions(postures, standard, rotations)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Column, Table
 
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import Array, Flags, check_kind, check_word
+from kinefilter.characters.arrays import Array, Flags, check_choice, check_kind
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
@@ -29,7 +29,7 @@ from kinefilter.pipeline.workers import workers
 from .accuracy import FAR, Accuracy, Tally, area_under_roc
 from .bench import Timed
 from .database_build import database_from_pairs
-from .systems import School, System, as_step, systems_of
+from .systems import CorrectorFactory, System, as_step, systems_of
 
 _ABLATIONS = {
     "local-gp": (
@@ -95,9 +95,9 @@ def evaluate(
         check_kind(items, list | tuple, what)
         for item in items:
             check_kind(item, kind, f"an item of {what}")
-    check_word(protocol, get_args(Protocol), "protocol")
+    check_choice(protocol, get_args(Protocol), "protocol")
     if not isinstance(database, PostureDatabase | None):
-        check_word(database, ("mocap",), "database")
+        check_choice(database, ("mocap",), "database")
     parts = [p for m in methods for p in _ABLATIONS.get(m, ()) if ablation]
     methods = [*methods, *(part for part in parts if part not in methods)]
     systems = systems_of(methods, presets, assigned, physics=physics)
@@ -151,16 +151,16 @@ def _test(
     """Return the results of each system; many clips are shared among all cores."""
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
-        return {s.label: tallied(pairs, c, s.config, progress) for s, c in trained}
+        return {s.label: tally_clips(pairs, c, s.config, progress) for s, c in trained}
     with workers() as pool:
         jobs = [
-            (system.label, pool.submit(tallied, pairs, corrector, system.config))
+            (system.label, pool.submit(tally_clips, pairs, corrector, system.config))
             for system, corrector in trained
         ]
         return {name: result.result() for name, result in over(jobs, "test", progress)}
 
 
-def tallied(
+def tally_clips(
     pairs: Sequence[PairedTake],
     corrector: Corrector,
     config: CleanConfig,
@@ -171,7 +171,7 @@ def tallied(
     correct = Timed(Correct(config, corrector))
     cleaner = Cleaner(config).replaced(correct)
     for pair in over(pairs, "test", progress):
-        corrector.know(pair.subject)
+        corrector.select_person(pair.subject)
         result = cleaner.clean(pair.take)
         clip = result.clip
         # The clip is leveled; take and truth are in the sensor frame.
@@ -189,7 +189,7 @@ def _school(
     test: list[PairedTake],
     database: PostureDatabase | Literal["mocap"] | None,
     progress: Progress,
-) -> School:
+) -> CorrectorFactory:
     skeleton = test[0].take.skeleton
     if database is None:
         database = builtin_database(skeleton)
@@ -197,7 +197,9 @@ def _school(
         database = database_from_pairs(over(train, "mocap", progress), skeleton)
     known = {pair.subject for pair in train}
     met = any(pair.subject in known for pair in test)
-    return School(train, skeleton, people=met, database=database, progress=progress)
+    return CorrectorFactory(
+        train, skeleton, people=met, database=database, progress=progress
+    )
 
 
 def _folds(

@@ -20,7 +20,7 @@ import numpy as np
 from rich.table import Table
 
 from kinefilter.characters import InputError, Take
-from kinefilter.characters.arrays import Array, check_word
+from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
@@ -38,12 +38,12 @@ from .limb_lessons import (
     Lesson,
     Recording,
     joined,
-    knowing,
     read_lessons,
     recordings_in,
-    teach_limbs,
+    train_prior,
+    with_prior,
 )
-from .systems import School, System, as_step, systems_of
+from .systems import CorrectorFactory, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]
 By = Literal["movement", "gap", "person"]
@@ -69,7 +69,7 @@ class HiddenLimbs:
 
     def __post_init__(self) -> None:
         for limb in self.limbs:
-            check_word(limb, HIDDEN, "limb")
+            check_choice(limb, HIDDEN, "limb")
         for gap in self.gaps:
             _frames(gap, 100, 30.0)
 
@@ -175,7 +175,7 @@ def _folds(
         own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not own:
             continue
-        school = School(
+        school = CorrectorFactory(
             [pair for pair in pairs if pair.subject != person],
             own[0].take.skeleton,
             people=False,
@@ -183,7 +183,7 @@ def _folds(
             progress=progress,
         )
         others = joined(lesson for lesson in lessons if lesson.person != person)
-        prior = teach_limbs(others) if recordings else None
+        prior = train_prior(others) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
         yield own, [_Trained(*each, prior) for each in ready]
@@ -261,7 +261,7 @@ def _measure(
     if corrector is not None:
         cleaner = cleaner.replaced(Correct(system.config, corrector))
     if prior is not None:
-        cleaner = knowing(cleaner, system.config, prior)
+        cleaner = with_prior(cleaner, system.config, prior)
     for case in cases:
         take, skeleton = case.take, case.take.skeleton
         seen, _, turn = _cleaned(take, take, cleaner, options)

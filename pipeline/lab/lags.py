@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.merge.lag import Clock, Track, correlations, drifting
+from kinefilter.pipeline.merge.lag import Clock, Track, correlations, with_drift
 from kinefilter.pipeline.merge.rigid import SIGMA, placement
 
 SHORTEST_FOR_DRIFT = 20.0
@@ -44,7 +44,7 @@ def distances(track: Track) -> Array:
     return np.asarray(np.linalg.norm(apart, axis=2))
 
 
-def correlated(first: Array, second: Array, least: float) -> Lag | None:
+def best_lag(first: Array, second: Array, least: float) -> Lag | None:
     """Return the lag of the highest correlation, or None if the overlap is too short.
 
     The lag is the time in the second recording at which the first one begins.
@@ -68,7 +68,7 @@ def correlated(first: Array, second: Array, least: float) -> Lag | None:
     return Lag(float(lags[best] + shift) / _RATE, float(scores[best]))
 
 
-def refined(take: Track, mocap: Track, clock: Clock) -> Clock:
+def refine_lag(take: Track, mocap: Track, clock: Clock) -> Clock:
     """Return the clock with the lag that a rigid transform explains best."""
     times = take.time[:: max(len(take.time) // _FRAMES, 1)]
     seen = take.at(times)
@@ -92,7 +92,7 @@ def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
     The lag is found in windows of a few seconds; the drift is the slope of the
     Theil-Sen line through these lags.
 
-    Distances [m] are as for ``correlated``, and those in ``first`` begin with the first
+    Distances [m] are as for ``best_lag``, and those in ``first`` begin with the first
     recording; ``clock`` has no drift yet.
     """
     width, hop = round(_WINDOW * _RATE), round(_HOP * _RATE)
@@ -104,8 +104,8 @@ def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
         part = second[begin : expected + width + margin]
         if len(part) < width:
             continue
-        found = correlated(first[start : start + width], part, 0.9 * _WINDOW)
+        found = best_lag(first[start : start + width], part, 0.9 * _WINDOW)
         if found is not None and found.correlation > _LEAST_CORRELATION:
             lag = found.seconds + (begin - start) / _RATE
             rows.append(((start + width / 2) / _RATE, lag))
-    return drifting(clock, np.array(rows))
+    return with_drift(clock, np.array(rows))

@@ -30,7 +30,7 @@ from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reconstruct import Reconstruct
-from kinefilter.pipeline.reconstruct.hidden_limbs import seen_motion
+from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
     OUTPUT,
@@ -41,7 +41,12 @@ from kinefilter.pipeline.reconstruct.prior import (
     part_of,
 )
 from kinefilter.pipeline.reconstruct.stage import hidden_joints
-from kinefilter.pipeline.reconstruct.windows import Limb, Seen, Stretches, describe
+from kinefilter.pipeline.reconstruct.windows import (
+    BridgedMotion,
+    Limb,
+    Stretches,
+    describe,
+)
 from kinefilter.pipeline.workers import workers
 
 from .database_build import mocap_body, whole_frames
@@ -112,7 +117,7 @@ def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
     skeleton = draft.skeleton
     hidden = hidden_joints(draft.measured, draft.state, skeleton)
     visible = np.where(hidden[..., None], np.nan, draft.measured)
-    seen = seen_motion(draft.time, visible, skeleton)
+    seen = bridged_motion(draft.time, visible, skeleton)
     count, parts = len(visible), list[Lessons]()
     least, most = (round(s * seen.rate) for s in (_SHORTEST, _LONGEST))
     most = min(count - 2 * _CONTEXT - 1, most)
@@ -138,7 +143,7 @@ def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
 
 
 def _limb(
-    seen: Seen, joints: tuple[int, int, int], outer: int, *, alone: bool
+    seen: BridgedMotion, joints: tuple[int, int, int], outer: int, *, alone: bool
 ) -> Limb | None:
     """Return a limb hidden from a joint outward; if alone, its opposite is as well."""
     hidden = list(joints[outer:])
@@ -180,7 +185,7 @@ def _concatenated(parts: Iterable[Lessons]) -> Lessons:
     }
 
 
-def teach_limbs(lessons: Lessons) -> MotionPrior:
+def train_prior(lessons: Lessons) -> MotionPrior:
     """Train a network on each set of training data."""
     return MotionPrior({name: _network(name, rows) for name, rows in lessons.items()})
 
@@ -228,12 +233,12 @@ def read_lessons(
         return list(pool.map(read, recordings, chunksize=8))
 
 
-def taught_by(pairs: Iterable[PairedTake]) -> MotionPrior:
+def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:
     """Train a prior on clips, for gaps after which the limb is visible again."""
-    return teach_limbs(joined(lesson_of(Recording.of(p), (True,)) for p in pairs))
+    return train_prior(joined(lesson_of(Recording.of(p), (True,)) for p in pairs))
 
 
-def knowing(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
+def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
     """Return the cleaner with a prior for hidden limbs, if it reconstructs them."""
     if all(stage.name != Reconstruct.name for stage in cleaner.stages):
         return cleaner
@@ -256,7 +261,7 @@ def _take_of_mocap(file: Path, name: str) -> Take:
     return Take(time, positions, state, KINECT_V1, str(file))
 
 
-def worth(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
+def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
     """Return each network's error of directions, in percent of that without it."""
     percent = {}
     for name, rows in lessons.items():
@@ -270,10 +275,10 @@ def worth(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
 
 
 def main(out: Path, files: Sequence[str]) -> None:
-    """Train on recordings, write the weights, and print the errors by ``worth``."""
+    """Train on recordings, write the weights, and print ``relative_errors``."""
     recordings = [r for file in files for r in recordings_in(Path(file))]
     lessons = read_lessons(recordings, (False, True))
-    write_arrays(out, teach_limbs(joined(lessons)).arrays())
+    write_arrays(out, train_prior(joined(lessons)).arrays())
     pairs = [Path(file) for file in files if file.endswith(".npz")]
     people = sorted({one.person for file in pairs for one in recordings_in(file)})
     movements = sorted({one.movement for one in lessons if one.person in people})
@@ -281,7 +286,7 @@ def main(out: Path, files: Sequence[str]) -> None:
     for names in (*({person} for person in people), *thirds):
         left_out = [one for one in lessons if names & {one.person, one.movement}]
         others = [one for one in lessons if not names & {one.person, one.movement}]
-        percent = worth(teach_limbs(joined(others)), joined(left_out))
+        percent = relative_errors(train_prior(joined(others)), joined(left_out))
         print(", ".join(sorted(names)), percent, flush=True)
 
 

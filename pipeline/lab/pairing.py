@@ -26,7 +26,7 @@ from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 from .accuracy import LIMBS
-from .lags import SHORTEST_FOR_DRIFT, correlated, distances, find_drift, refined
+from .lags import SHORTEST_FOR_DRIFT, best_lag, distances, find_drift, refine_lag
 from .marker_sets import MarkerSet, joint_centers
 
 EXPLAINED = 0.55
@@ -199,7 +199,7 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
                 "aligned in time; pair takes with movement in them"
             )
     common_time = max(_SHORTEST, _SHARE * length)
-    lag = correlated(apart[0], apart[1], common_time)
+    lag = best_lag(apart[0], apart[1], common_time)
     if lag is None:
         raise InputError(
             f"{both}: at no lag do both have joint positions for {common_time:.2g} s; "
@@ -210,7 +210,7 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
         clock = find_drift(apart[0], apart[1], clock) or clock
     else:
         notes.append(f"{length:.1f} s is too short to tell whether the clocks drift")
-    clock = refined(*tracks, clock)
+    clock = refine_lag(*tracks, clock)
     match = _Match(clip, take, Track(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
     if not explained >= least:

@@ -28,7 +28,7 @@ from kinefilter.retarget import (
     measured_body,
     rotations_from_positions,
 )
-from kinefilter.retarget.orientation import hang_missing
+from kinefilter.retarget.orientation import fill_missing_joints
 from kinefilter.scenes.sensor import (
     Sensor,
     Tracker,
@@ -43,7 +43,7 @@ DISTANCE = 2.5
 """Distance [m] of the people in UI-PRMD from the Kinect."""
 _SENSOR = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
 index = KINECT_V1.index
-UNSEEN = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
+NOT_IN_MOCAP = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
 """Joints that the mocap lacks."""
 
 
@@ -63,7 +63,7 @@ class Pair:
     def error(self) -> Array:
         """Kinect minus mocap [m], (T, 20, 3), NaN where either lacks the joint."""
         error = self.kinect - self.mocap
-        error[:, UNSEEN] = np.nan
+        error[:, NOT_IN_MOCAP] = np.nan
         return error
 
 
@@ -91,7 +91,7 @@ def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:
     return replace(pair, kinect=kinect, mocap=pair.act.positions, inferred=inferred)
 
 
-def paired_by(pair: Pair, tracker: Tracker = "model") -> PairedTake:
+def simulated_pair_of(pair: Pair, tracker: Tracker = "model") -> PairedTake:
     """Return the same as a take and its ground truth, in the sensor frame."""
     truth = in_sensor_frame(pair.act.positions, _SENSOR)
     return PairedTake(_observed(pair, tracker), truth, pair.clip[4:7], pair.clip)
@@ -125,7 +125,7 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     flat = unit * positions[whole].reshape(len(stamps), -1)
     time = np.arange(stamps[0], stamps[-1], 1.0 / fps)
     even = np.stack([np.interp(time, stamps, column) for column in flat.T], axis=1)
-    joints = hang_missing(even.reshape(len(time), len(skeleton), 3), body)
+    joints = fill_missing_joints(even.reshape(len(time), len(skeleton), 3), body)
     yaw = find_yaw(joints[0], np.ones(len(skeleton)), skeleton)
     joints = HeadingFrame(np.zeros(3), np.nan_to_num(yaw)).remove(joints)
     joints -= 0.5 * (joints.min(axis=(0, 1)) + joints.max(axis=(0, 1)))

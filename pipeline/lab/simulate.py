@@ -220,7 +220,7 @@ def simulated_pairs(
     return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
 
 
-def furnished_pairs(
+def pairs_with_props(
     skeleton: str, *, people: int = 600, progress: Progress = silent
 ) -> list[PairedTake]:
     """Return takes for training in which props hide people too.

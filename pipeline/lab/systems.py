@@ -8,7 +8,7 @@ from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Corrector, InTurn, LearnedCorrector
+from kinefilter.pipeline.correct import Corrector, CorrectorChain, LearnedCorrector
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.methods import LEARNED, METHODS
@@ -100,7 +100,7 @@ def _has_parameter(kind: str, name: str, assignment: str) -> bool:
     return True
 
 
-def check_untaught(methods: Sequence[str]) -> None:
+def check_untrained(methods: Sequence[str]) -> None:
     """Raise an InputError for a method that is unknown, or learns from pairs."""
     for name in methods:
         if name not in METHODS or name in LEARNED:
@@ -117,7 +117,7 @@ def as_step(every: int) -> int:
     return every
 
 
-class School:
+class CorrectorFactory:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
     With ``people`` they also learn each person's own offsets, for tests on the same
@@ -142,7 +142,11 @@ class School:
     def corrector(self, system: System) -> Corrector:
         """Return the corrector of a system, trained if it learns."""
         made = [self._make(system.config, name) for name in system.methods]
-        return made[0] if len(made) == 1 else InTurn(*made, skeleton=self._skeleton)
+        return (
+            made[0]
+            if len(made) == 1
+            else CorrectorChain(*made, skeleton=self._skeleton)
+        )
 
     def _make(self, config: CleanConfig, name: str) -> Corrector:
         settings = config.parameters.method if config.method == name else {}
@@ -151,7 +155,7 @@ class School:
         if name == "default":  # exactly as in clean
             return make_corrector(self._skeleton, CleanConfig())
         method = METHODS[name]
-        of_skeleton = method.made_of == "skeleton"
+        of_skeleton = method.requires == "skeleton"
         basis = self._skeleton if of_skeleton else self._database
         corrector: Corrector = method.load()(basis, **settings)
         return corrector

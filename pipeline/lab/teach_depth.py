@@ -45,7 +45,11 @@ from kinefilter.scenes.sensor.depth_image import (
     nearest_joints,
     with_noise,
 )
-from kinefilter.scenes.sensor.depth_tracker import behind, constants_of, propose
+from kinefilter.scenes.sensor.depth_tracker import (
+    joint_constants,
+    propose,
+    push_behind_skin,
+)
 from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 from .database_build import mocap_postures
@@ -301,7 +305,7 @@ def with_constants(
         for j, part in enumerate(np.argmax(parts_of_joints(skeleton), axis=0)):
             much = area[:, j] > np.nanmedian(area[:, j])
             push[row, part] = np.nanmedian(depth[much, j])
-            placed = behind(skin[:, j], push[row, part])
+            placed = push_behind_skin(skin[:, j], push[row, part])
             away = np.linalg.norm(placed - joints[:, j], axis=-1)
             right = np.nan_to_num(away, nan=np.inf) < _RIGHT
             order = np.argsort(area[:, j])
@@ -317,8 +321,8 @@ def report(forest: BodyPartForest, tested: Sequence[Results]) -> Iterator[str]:
     right, whole = np.sum([result.hits for result in tested], axis=0)
     yield f"pixels classified correctly: {right / whole:.0%} of {whole}"
     for _, skeleton, skin, area, joints in _by_skeleton(tested):
-        push, least = constants_of(forest, skeleton)
-        away = 100.0 * np.linalg.norm(behind(skin, push) - joints, axis=-1)
+        push, least = joint_constants(forest, skeleton)
+        away = 100.0 * np.linalg.norm(push_behind_skin(skin, push) - joints, axis=-1)
         tracked = area >= least
         yield f"{skeleton.name}: joint, tracked %, median cm, within 10 cm %"
         for j, name in enumerate(skeleton.joints):

@@ -34,7 +34,7 @@ from .accuracy import area_under_roc
 from .methods.lessons import TrainingSet
 from .misplaced import misplaced
 from .pairing import changed_bones
-from .systems import check_untaught
+from .systems import check_untrained
 from .teach import teach
 from .training import training_set
 
@@ -116,7 +116,7 @@ def compare_views(
     Raises:
         InputError: A method is unknown, or takes do not belong together.
     """
-    check_untaught([m for m in methods if m != "learned" or not train])
+    check_untrained([m for m in methods if m != "learned" or not train])
     trained: dict[str, LearnedCorrector] = {}
     if "learned" in methods:
         trained = _train_by_person(sessions, training_set(train), progress)

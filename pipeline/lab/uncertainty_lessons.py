@@ -39,7 +39,7 @@ from .accuracy import within_uncertainty
 from .hidden_limbs import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
-from .limb_lessons import knowing, taught_by
+from .limb_lessons import train_prior_on, with_prior
 from .teach import teach
 from .training import training_set
 
@@ -78,7 +78,7 @@ def lessons(
     """
     cleaner, parts = Cleaner(corrector=corrector), []
     if prior is not None:
-        cleaner = knowing(cleaner, CleanConfig(), prior)
+        cleaner = with_prior(cleaner, CleanConfig(), prior)
     alone = list(join_cases(pairs, "alone"))[::every]
     repeated = [case for case in join_cases(pairs, "repetitions") if case.hidden]
     for case in (*alone, *repeated[::2]):
@@ -173,7 +173,7 @@ def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
     others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
     learned = teach("learned", training_set(others))
-    return lessons(learned, mine, prior=taught_by(others))
+    return lessons(learned, mine, prior=train_prior_on(others))
 
 
 def main(out: Path, files: Sequence[str]) -> None:

@@ -63,7 +63,7 @@ class Address(NamedTuple):
         return f"{self.scheme}://{host}:{self.port}"
 
 
-def read_address(text: str, schemes: Sequence[str]) -> Address:
+def parse_address(text: str, schemes: Sequence[str]) -> Address:
     """Parse ``scheme://host:port`` or ``-``; raise InputError if it is invalid."""
     if text == STANDARD and STANDARD in schemes:
         return Address(STANDARD)
@@ -117,7 +117,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     InputError if an address or a file is wrong, other machines could connect without
     ``--bind``, or a package is not installed.
     """
-    sources = [read_address(source, _SOURCES) for source in config.sources]
+    sources = [parse_address(source, _SOURCES) for source in config.sources]
     if not sources:
         raise InputError("--in is missing; give one, such as --in -")
     fixed = [end for end in sources if end.port or end.scheme == STANDARD]
@@ -125,7 +125,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
         raise InputError(
             f"--in {again[0]} is given twice; each sensor needs a port of its own"
         )
-    ends = sources + [read_address(out, _TARGETS) for out in config.out]
+    ends = sources + [parse_address(out, _TARGETS) for out in config.out]
     if len(ends) == len(sources):
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):

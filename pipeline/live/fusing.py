@@ -64,10 +64,10 @@ class FusedPerson(Person):
         each = list(zip(self._views, self._moments(seen, time), strict=True))
         sights = [view.sight(moment, corrected=False) for view, moment in each]
         raw = self._fusions[0].step(sights, elapsed)
-        for view, swapped in zip(self._views, raw.exchanged, strict=True):
+        for view, swapped in zip(self._views, raw.swapped, strict=True):
             view.correct(swapped=bool(swapped))
         sights = [view.sight(moment, corrected=True) for view, moment in each]
-        settled = np.zeros_like(raw.exchanged)
+        settled = np.zeros_like(raw.swapped)
         fused = self._fusions[1].step(sights, elapsed, settled)
         self._corrected.places = fused.positions
         if sum(sight is not None for sight in sights) > 1:
@@ -138,7 +138,7 @@ class _View:
             for name in _BY_JOINT:
                 setattr(draft, name, getattr(draft, name)[draft.skeleton.mirror])
         for stage in self._tail:
-            if draft.appears and not stage.goes_on:
+            if draft.appears and not stage.continues:
                 stage.start(self._body)
             stage.step(draft)
         positions = np.where(draft.missing[:, None], np.nan, draft.positions)

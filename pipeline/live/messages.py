@@ -40,8 +40,8 @@ import numpy as np
 
 from kinefilter.characters import Body, KinefilterError, Skeleton, State
 from kinefilter.characters.arrays import Array, Codes
-from kinefilter.characters.motion import LATEST
-from kinefilter.pipeline.formats.recording import missing_marked
+from kinefilter.characters.motion import LATEST_TIME_STAMP
+from kinefilter.pipeline.formats.recording import mark_missing
 
 from .config import MAX_BODIES
 
@@ -139,7 +139,7 @@ def parse_frame(
     if set(data) != {"time", "bodies"} or not isinstance(data["bodies"], list):
         raise MalformedError(Reason.NOT_A_FRAME)
     time = data["time"]
-    if type(time) is not float or not abs(time) < LATEST:
+    if type(time) is not float or not abs(time) < LATEST_TIME_STAMP:
         raise MalformedError(Reason.TIME)
     if len(data["bodies"]) > max_bodies:
         raise MalformedError(Reason.BODIES)
@@ -164,7 +164,7 @@ def _parse_body(data: Any, skeleton: Skeleton) -> SeenBody:
     if not isinstance(joints, list) or len(joints) != len(skeleton):
         raise MalformedError(Reason.NOT_A_FRAME)
     rows = np.array([_parse_joint(joint) for joint in joints])
-    positions, state = missing_marked(rows[:, :3], rows[:, 3].astype(np.uint8))
+    positions, state = mark_missing(rows[:, :3], rows[:, 3].astype(np.uint8))
     return SeenBody(_parse_id(data["id"]), positions, state)
 
 

@@ -155,7 +155,7 @@ class Session:
             if found and stream.clock and stream.placed:
                 positions = stream.placed.apply(found.positions)
                 seen = SeenBody(presence.id, positions, found.state, True)
-                self.crowd.add(seen, stream.clock.undone(frame.time), now)
+                self.crowd.add(seen, stream.clock.inverse(frame.time), now)
                 pending = True
         return pending
 
@@ -199,7 +199,7 @@ class Session:
         if pose is None or person.avatar is None:
             return
         if person.avatar.turn is not turn:
-            self.tally.notes[presence.slot] = person.avatar.turn.told()
+            self.tally.notes[presence.slot] = person.avatar.turn.notes()
         latency = time.perf_counter() - frame.arrived
         body = person.avatar.body
         live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)

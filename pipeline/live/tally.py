@@ -75,7 +75,7 @@ class Tally:
         # What the user should know: by person's slot, or -1, -2, ... for the sensors.
         self.notes: dict[int, tuple[str, ...]] = {}
 
-    def told(self) -> list[str]:
+    def all_notes(self) -> list[str]:
         """Return all notes, without repeats."""
         return list(dict.fromkeys(n for notes in self.notes.values() for n in notes))
 
@@ -85,7 +85,7 @@ class Tally:
         known = {"p50": quantile(0.5), "p99": quantile(0.99), "max": most}
         return {
             **{event.name.lower(): self.events[event] for event in Event},
-            "notes": self.told(),
+            "notes": self.all_notes(),
             "malformed": {r.name.lower(): self.malformed[r] for r in Reason},
             "latency_ms": {k: v * 1e3 if most else None for k, v in known.items()},
         }

@@ -13,17 +13,17 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
-from kinefilter.characters.gaps import long_gaps, told_gaps
+from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.pipeline.failures import (
+    describe_failures,
     find_displaced,
     find_failures,
-    told_failures,
     unmirrored,
 )
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, measure
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.target.feet import feet_of
+from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.pipeline.target.upright import find_turn
 from kinefilter.retarget import find_yaw
@@ -99,14 +99,14 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
     distinct = np.diff(clip.time, prepend=-np.inf) > 0
-    time, stands = clip.time[distinct], feet_of(clip.contacts)[distinct]
+    time, stands = clip.time[distinct], planted_feet(clip.contacts)[distinct]
 
     def figures(positions: Array) -> dict[str, float]:
         measured = measure(time, positions[distinct], raw[distinct], clip.body, stands)
         values = asdict(measured) | {"skate": measured.skate_mm_per_frame * 1e-3}
         return {name: float(values[name]) for name in METRICS}
 
-    uncertain = () if merged is None else merged.told()
+    uncertain = () if merged is None else merged.all_notes()
     return Comparison(
         clip=clip,
         raw=raw,
@@ -125,8 +125,8 @@ def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[st
     mended = unmirrored(take, failures).positions
     yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
     displaced = find_displaced(time, mended, positions, yaw, skeleton)
-    sentences = told_failures([*failures, *displaced], time[0])
-    return (*told_gaps(long_gaps(time), time[0]), *sentences)
+    sentences = describe_failures([*failures, *displaced], time[0])
+    return (*describe_gaps(long_gaps(time), time[0]), *sentences)
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:

@@ -105,10 +105,10 @@ class Player(ServedPage):
             _, frames = add_props(server.scene, playground.props)
             names = [prop.name for prop in playground.props]
             by_name = dict(zip(names, frames, strict=True))
-            self._moving = [by_name[name] for name in playground.things.moving]
+            self._moving = [by_name[name] for name in playground.scene_props.moving]
 
     def _show(self) -> None:
-        character, things = self._playground.character, self._playground.things
+        character, things = self._playground.character, self._playground.scene_props
         with self._server.atomic():
             positions = character.positions
             self._pose(positions, character.rotations)

@@ -20,7 +20,7 @@ import numpy as np
 from kinefilter.characters import Clip, InputError, Prop
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.settings import hash_of
-from kinefilter.pipeline.target.floor import place_of
+from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.pipeline.workers import given_up
 
 from .cameras import axes_toward, camera_path
@@ -134,16 +134,16 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     """
     import mujoco  # by now its OpenGL is chosen
 
-    from kinefilter.pipeline.physics.filter import Things
+    from kinefilter.pipeline.physics.filter import SceneProps
     from kinefilter.scenes import load_scene
 
     model = load_scene(scene).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    things = Things(model, data, -1, 1)
+    things = SceneProps(model, data, -1, 1)
     things.record(0)
     names = {prop.name for prop in props}
-    others = things.props(place_of(clip.positions, clip.skeleton))
+    others = things.props(find_placement(clip.positions, clip.skeleton))
     return props + tuple(prop for prop in others if prop.name not in names)
 
 

@@ -258,7 +258,7 @@ class Viewer(ServedPage):
         self._show_edits()
 
     def _show_edits(self) -> None:
-        lines = [f"{k}. {edit.told}" for k, edit in enumerate(self._edits.edits, 1)]
+        lines = [f"{k}. {edit.summary}" for k, edit in enumerate(self._edits.edits, 1)]
         self._list.options = lines or [_NO_EDITS]
         self._list.value = self._list.options[-1]  # the latest
         self._report("unsaved changes" if self._edits.unsaved else "")

@@ -20,7 +20,14 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability import column_medians
 
-from .lag import FEWEST_WINDOWS, Clock, Track, correlations, drifting, interpolate_gaps
+from .lag import (
+    FEWEST_WINDOWS,
+    Clock,
+    Track,
+    correlations,
+    interpolate_gaps,
+    with_drift,
+)
 from .rigid import SIGMA, Placement, placement
 
 _RATE = 20.0  # samples a second to search lags in: joints move below 5 Hz
@@ -106,7 +113,7 @@ def align(first: Take, second: Take) -> Alignment:
             f"{_MIN_COMMON:g} s, at any lag; give takes of the same time"
         )
     # A sensor behind the person has left and right swapped.
-    pairs = [_Pair(first, take) for take in (second, second.exchanged())]
+    pairs = [_Pair(first, take) for take in (second, second.swapped())]
     fits = []
     for k in peaks[np.argsort(-certainties[peaks])][:_CANDIDATES]:
         clock = Clock(float(first.time[0]), float(second.time[0] + lags[k] / _RATE))
@@ -263,7 +270,7 @@ class _Pair:
                 # At the end of the search range, the movements agree nowhere in it.
                 if lag != clock.lag and abs(lag - clock.lag) < _AROUND - _EDGE:
                     rows.append((window.mean() - clock.start, lag))
-            clock = drifting(clock, np.array(rows)) or clock
+            clock = with_drift(clock, np.array(rows)) or clock
             if len(near) == len(times):
                 break
             span *= _LONGER

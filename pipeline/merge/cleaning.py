@@ -77,9 +77,9 @@ def _cleaner(
     pairs = zip(merged.takes, (IDENTITY, *merged.alignments), strict=True)
     stamps = merged.take.time
     for k, (take, found) in enumerate(pairs):
-        time = found.clock.undone(take.time)
+        time = found.clock.inverse(take.time)
         frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
-        take = take.exchanged(merged.exchanged[frames, k])  # as the sensors agree
+        take = take.swapped(merged.swapped[frames, k])  # as the sensors agree
         take = edited(take, edits, time - stamps[0])
         draft = corrector.whole(take, progress)
         positions = np.where(draft.missing[..., None], np.nan, draft.positions)

@@ -50,7 +50,7 @@ class Fused(NamedTuple):
     state: Codes  # the best state among the sensors that count, (J,)
     reliability: Array  # mean over the sensors that count, in [0, 1], (J,)
     shares: Array  # of each sensor in each joint, adding up to 1 or 0, (S, J)
-    exchanged: Flags  # which sensors had left and right swapped, (S,)
+    swapped: Flags  # which sensors had left and right swapped, (S,)
 
 
 class Fusion:
@@ -86,8 +86,8 @@ class Fusion:
         """
         stacked = [self._stack(sights) for sights in frames]
         sides = self._sides.whole((seen.positions, _weights(seen)) for seen in stacked)
-        for seen, exchanged in zip(stacked, sides, strict=True):
-            self._swap(seen, exchanged)
+        for seen, swapped in zip(stacked, sides, strict=True):
+            self._swap(seen, swapped)
         headings = self._facing.whole(
             (*self._directions(seen), float(since))
             for seen, since in zip(stacked, elapsed, strict=True)
@@ -99,9 +99,9 @@ class Fusion:
         each = (self._nothing if sight is None else sight for sight in sights)
         return Sight(*map(np.array, zip(*each, strict=True)))
 
-    def _swap(self, seen: Sight, exchanged: Flags) -> None:
+    def _swap(self, seen: Sight, swapped: Flags) -> None:
         for part in seen[:3]:
-            part[exchanged] = part[exchanged][:, self._skeleton.mirror]
+            part[swapped] = part[swapped][:, self._skeleton.mirror]
 
     def _directions(self, seen: Sight) -> tuple[Array, Array]:
         """Return headings that sensors see, and directions to them [rad], (S,)."""
@@ -113,7 +113,7 @@ class Fusion:
         self,
         sights: Sequence[Sight | None],
         elapsed: float,
-        exchanged: Flags | None = None,
+        swapped: Flags | None = None,
         heading: float | None = None,
     ) -> Fused:
         """Fuse the next frame, ``elapsed`` [s] after the last.
@@ -123,9 +123,9 @@ class Fusion:
         the frames so far.
         """
         stacked = self._stack(sights)
-        if exchanged is None:
-            exchanged, _ = self._sides.step(stacked.positions, _weights(stacked))
-        self._swap(stacked, exchanged)
+        if swapped is None:
+            swapped, _ = self._sides.step(stacked.positions, _weights(stacked))
+        self._swap(stacked, swapped)
         yaws, angles = self._directions(stacked)
         if heading is None:
             heading, _ = self._facing.step(yaws, angles, elapsed)
@@ -149,7 +149,7 @@ class Fusion:
         self._learn(frame.remove(seen - fused), reliability > _INFERRED, elapsed)
         fused[total == 0.0] = np.nan
         best = np.where(shares > _COUNTS, state, 0).max(axis=0).astype(np.uint8)
-        return Fused(fused, best, (shares * given).sum(axis=0), shares, exchanged)
+        return Fused(fused, best, (shares * given).sum(axis=0), shares, swapped)
 
     def _learn(self, away: Array, trusted: Flags, elapsed: float) -> None:
         """Average how far joints are from the fused ones [m], in the heading frame."""

@@ -55,7 +55,7 @@ class Clock(NamedTuple):
         """Return the second recording's times for those of the first [s]."""
         return self.lag + (1.0 + self.drift) * (time - self.start)
 
-    def undone(self, time: _Time) -> _Time:
+    def inverse(self, time: _Time) -> _Time:
         """Return the first recording's times for those of the second [s]."""
         return self.start + (time - self.lag) / (1.0 + self.drift)
 
@@ -103,7 +103,7 @@ def _centered(values: Array) -> tuple[Array, Array]:
     return np.where(known, centered, 0.0), known.astype(float)
 
 
-def drifting(clock: Clock, rows: Array) -> Clock | None:
+def with_drift(clock: Clock, rows: Array) -> Clock | None:
     """Return a clock with the drift that lags show, None if it is not significant.
 
     Fits Theil and Sen's line to rows (N, 2): seconds since the clock's start, and the

@@ -53,7 +53,7 @@ def find_person(
         known = calibration[k] if calibration else None
         firsts, seconds = ([take for take, _ in some] for some in (people[0], others))
         found = _align_people(firsts, seconds, known, chosen)
-        begin, end = found.clock.undone(seconds[0].time[[0, -1]])
+        begin, end = found.clock.inverse(seconds[0].time[[0, -1]])
         if not (begin < first.time[-1] and end > first.time[0]):
             raise InputError(
                 f"{seconds[0].source}: was recorded at another time than "
@@ -146,7 +146,7 @@ def _identify(
         for take in recording.takes:
             takes.append(take)
             joints = found.placed.apply(take.positions)
-            time = found.clock.undone(take.time)
+            time = found.clock.inverse(take.time)
             tracks.append(Track(time, joints, take.skeleton, s))
 
     def rows_of_chosen(person: Sequence[Part]) -> int:

@@ -30,7 +30,7 @@ class Merged:
     take: Take  # with the first sensor's clock and frame
     reliability: Array  # mean over the sensors that count, shape (T, J)
     shares: Array  # of each sensor in each joint, adding up to 1 or 0, (T, S, J)
-    exchanged: Flags  # which sensors had left and right swapped, shape (T, S)
+    swapped: Flags  # which sensors had left and right swapped, shape (T, S)
     seen: tuple[Array, ...]
     """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
     alignments: tuple[Alignment, ...]  # of the second sensor, the third and so on
@@ -66,9 +66,13 @@ class Merged:
                     "apart_meters": float(apart[k]),
                 }
             )
-        return {"frames": len(self.take), "sensors": rows, "notes": list(self.told())}
+        return {
+            "frames": len(self.take),
+            "sensors": rows,
+            "notes": list(self.all_notes()),
+        }
 
-    def told(self) -> Iterator[str]:
+    def all_notes(self) -> Iterator[str]:
         """Yield what is uncertain, and what to do about it."""
         yield from self.notes
         hint = "give a --calibration from another take of the session"
@@ -125,7 +129,7 @@ def fuse(
     """Fuse takes with reliability (T, J) each, and alignments of all but the first."""
     skeleton = max((take.skeleton for take in takes), key=len)
     each = list(zip(takes, scores, (IDENTITY, *alignments), strict=True))
-    time = _frame_times([found.clock.undone(take.time) for take, _, found in each])
+    time = _frame_times([found.clock.inverse(take.time) for take, _, found in each])
     columns = [_sights(time, *one, skeleton) for one in each]
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
@@ -139,14 +143,14 @@ def fuse(
             for k in over(range(len(time)), sweep, progress)
         ]
     arrays = map(np.array, zip(*fused, strict=True))
-    positions, state, reliability, shares, exchanged = arrays
+    positions, state, reliability, shares, swapped = arrays
     source = " + ".join(take.source for take in takes)
     by_kinect = any(take.by_kinect for take in takes)
     return Merged(
         Take(time, positions, state, skeleton, source, by_kinect),
         reliability,
         shares,
-        exchanged,
+        swapped,
         tuple(np.array([sight.positions for sight in column]) for column in columns),
         tuple(alignments),
         tuple(takes),

@@ -33,7 +33,7 @@ _LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
 
-class Things:
+class SceneProps:
     """The visible props of a scene, recorded frame by frame.
 
     That is, all bodies but those of the character, whose root body has index
@@ -150,7 +150,7 @@ class PhysicsResult:
     positions: Array
     """Joint positions [m], world frame, shape (T, J, 3)."""
     trace: PhysicsTrace
-    things: Things
+    scene_props: SceneProps
     """The props of the scene, in the frame of the targets."""
 
 
@@ -178,13 +178,13 @@ class PhysicsFilter(PulledCharacter):
         types = (float, float, np.int64, np.bool_)
         trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         character = int(self._bodies[self.body.skeleton.root])
-        things = Things(self.model, self.data, character, count)
+        things = SceneProps(self.model, self.data, character, count)
         own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
             target, dt = (positions[k], rotations[k]), float(time[k] - time[k - 1])
             feet = None if stands is None else stands[k]
             if k == 0 or dt > LONG_GAP:
-                self.start(*target, anew=k == 0)
+                self.start(*target, reset_props=k == 0)
                 # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
                     self.step(*target, 1 / 30, stands=feet)

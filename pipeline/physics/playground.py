@@ -18,12 +18,12 @@ from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import slerp
 from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
-from kinefilter.pipeline.target.feet import feet_of
-from kinefilter.pipeline.target.floor import place_of
+from kinefilter.pipeline.target.feet import planted_feet
+from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.stance import smooth_step
 
-from .filter import Things
+from .filter import SceneProps
 from .pulled_character import PulledCharacter
 
 RATE = 30.0
@@ -62,7 +62,7 @@ class Playground:
         )
         model = self.character.model
         root = model.body(body.skeleton.joints[body.skeleton.root]).id
-        self.things = Things(model, self.character.data, root, 1)
+        self.scene_props = SceneProps(model, self.character.data, root, 1)
         self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
         self._dragged: tuple[int, Array, Array] | None = None
         self.resets = 0
@@ -72,7 +72,7 @@ class Playground:
         """Restart the motion, with every prop where the scene has it."""
         self.time = 0.0
         self.character.start(*self._target()[:2])
-        self.things.record(0)
+        self.scene_props.record(0)
 
     def change(
         self, *, scene: str | Path | None = None, tracking: TrackingName | None = None
@@ -97,11 +97,14 @@ class Playground:
             self._push(joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
         positions, rotations, stands = self._target()
         self.resets += not self.character.step(positions, rotations, dt, stands=stands)
-        self.things.record(0)
+        self.scene_props.record(0)
         if self._frames is not None:
             contacts = self.motion.contacts[int(self.time * RATE) % len(self.motion)]
             pose = self.character.root, self.character.rotations
-            force, props = self.character.external_force, self.things.poses[0].copy()
+            force, props = (
+                self.character.external_force,
+                self.scene_props.poses[0].copy(),
+            )
             self._frames.append((dt, *pose, contacts, force, props))
 
     def _target(self) -> tuple[Array, Array, Flags]:
@@ -111,7 +114,7 @@ class Playground:
         second, share = (first + 1) % len(motion), at - int(at)
         turns = slerp(motion.rotations[first], motion.rotations[second], share)
         root = motion.root[first] + share * (motion.root[second] - motion.root[first])
-        stands = feet_of(motion.contacts[[first]])[0]
+        stands = planted_feet(motion.contacts[[first]])[0]
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> int | None:
@@ -156,7 +159,7 @@ class Playground:
     @property
     def props(self) -> tuple[Prop, ...]:
         """All props where they are now."""
-        return self.things.props(_HERE)
+        return self.scene_props.props(_HERE)
 
     @property
     def doing(self) -> str:
@@ -191,9 +194,9 @@ class Playground:
             raise InputError("nothing was recorded; play for a moment before stopping")
         columns = map(np.array, zip(*frames, strict=True))
         steps, root, rotations, contacts, force, poses = columns
-        current, self.things.poses = self.things.poses, poses
+        current, self.scene_props.poses = self.scene_props.poses, poses
         props = tuple(prop for prop in self.props if not _is_parked(prop))
-        self.things.poses = current
+        self.scene_props.poses = current
         motion = Motion(
             time=np.cumsum(steps) - steps[0],
             body=self.motion.body,
@@ -209,7 +212,7 @@ def _closed(clip: Clip) -> Clip:
     if len(clip) < 2:
         raise InputError(f"{clip.source} has {len(clip)} frames; expected 2 or more")
     clip = resampled(clip, RATE)
-    place = place_of(clip.positions, clip.skeleton)
+    place = find_placement(clip.positions, clip.skeleton)
     root = place.remove(clip.root[:, None])[:, 0]
     turns = place.remove_rotations(clip.rotations)
     seconds = max(_BACK, float(np.linalg.norm(root[-1] - root[0])) / _SLOWEST)

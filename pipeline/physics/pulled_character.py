@@ -21,7 +21,7 @@ from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, t
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
-from kinefilter.pipeline.target.floor import clearances, sunk
+from kinefilter.pipeline.target.floor import clearances, floor_penetration
 from kinefilter.scenes import load_scene
 
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
@@ -123,15 +123,17 @@ class PulledCharacter:
             mujoco.set_mju_user_warning(lambda _: None)
         self.start(body.rest_positions, np.tile(IDENTITY, (len(joints), 1)))
 
-    def start(self, positions: Array, rotations: Array, *, anew: bool = True) -> None:
+    def start(
+        self, positions: Array, rotations: Array, *, reset_props: bool = True
+    ) -> None:
         """Put the character at rest onto a target; raises InputError if it has NaN.
 
-        Props go back to where the scene has them if ``anew``, else they stop in place.
+        With ``reset_props`` props return to where the scene has them, else they stop.
         """
         _check_target(positions, rotations)
         there = self.data.qpos.copy()
         mujoco.mj_resetData(self.model, self.data)
-        if not anew:
+        if not reset_props:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
@@ -333,7 +335,7 @@ class PulledCharacter:
 
     def _raise(self) -> None:
         """Raise the whole character if it was thrown into the floor."""
-        depth = sunk(self.data.site_xpos[self._sites, 2], self._clearance)
+        depth = floor_penetration(self.data.site_xpos[self._sites, 2], self._clearance)
         if depth > 0.0:
             self.data.qpos[2] += depth
             mujoco.mj_kinematics(self.model, self.data)

@@ -62,11 +62,11 @@ def leg_to_goal(
 
     The knee turns as little as possible. Where goal and ankle agree, both stay.
     """
-    was, now = (between_ends(hip, knee, end, lengths) for end in (ankle, goal))
+    was, now = (middle_joint(hip, knee, end, lengths) for end in (ankle, goal))
     return knee + now[0] - was[0], ankle + now[1] - was[1]
 
 
-def between_ends(
+def middle_joint(
     top: Array, middle: Array, end: Array, lengths: tuple[float, float]
 ) -> tuple[Array, Array]:
     """Return an elbow or knee [m] bent toward ``middle``, and the end within reach."""

@@ -20,11 +20,11 @@ from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge
-from .foothold import between_ends, planted_height
+from .foothold import middle_joint, planted_height
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import SHORTEST, learn
-from .windows import Limb, Seen, Stretches, describe
+from .windows import BridgedMotion, Limb, Stretches, describe
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends
@@ -49,7 +49,9 @@ def fill_hidden(
     hidden &= ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
-    seen = seen_motion(time, np.where(hidden[..., None], np.nan, positions), skeleton)
+    seen = bridged_motion(
+        time, np.where(hidden[..., None], np.nan, positions), skeleton
+    )
     for gap, limb in _gaps(seen, hidden):
         _fill_limb(seen, gap, limb, prior or default_prior())
     for joints in limbs(skeleton):
@@ -75,7 +77,7 @@ def _trust(time: Array, hidden: Flags) -> Array:
     return 1.0 - smooth_step((far - _BELIEVED) / _BELIEVED)
 
 
-def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
+def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> BridgedMotion:
     """Return a motion whose gaps, NaN, are bridged segment by segment."""
     rate = 1.0 / nominal_step(time)
     steps = np.concatenate([[0.0], np.diff(time)])
@@ -119,7 +121,7 @@ def seen_motion(time: Array, positions: Array, skeleton: Skeleton) -> Seen:
     joined, breaks = steps < max(PAUSE, 1.5 / rate), steps >= _BREAK
     joined[0] = False
     arrays = (placed, directions, known, joined, breaks, lengths)
-    return Seen(skeleton, rate, heading, *arrays, floor)
+    return BridgedMotion(skeleton, rate, heading, *arrays, floor)
 
 
 def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -> Array:
@@ -134,7 +136,7 @@ def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -
     return bridged
 
 
-def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
+def _gaps(seen: BridgedMotion, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
     """Yield the gaps of each limb, with its hidden part."""
     for joints in limbs(seen.skeleton):
         for gap in runs(np.any(hidden[:, joints[1:]], axis=1)):
@@ -146,7 +148,7 @@ def _gaps(seen: Seen, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
                 yield gap, limb
 
 
-def _fill_limb(seen: Seen, gap: slice, limb: Limb, prior: MotionPrior) -> None:
+def _fill_limb(seen: BridgedMotion, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     """Fill a gap of a limb in ``seen``, in place."""
     length = gap.stop - gap.start
     if length > _LONGEST * seen.rate:
@@ -168,10 +170,10 @@ def _fill_limb(seen: Seen, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     _place(seen, gap, limb, before)
 
 
-def _place(seen: Seen, gap: slice, limb: Limb, before: Array) -> None:
+def _place(seen: BridgedMotion, gap: slice, limb: Limb, before: Array) -> None:
     """Put a limb's joints on their segments; hidden hands turn with their forearms."""
     end = limb.hidden[-1]
-    tips = seen.skeleton.beyond(end)
+    tips = seen.skeleton.descendants(end)
     turn = between(before[:, end], seen.directions[gap, end])
     for j in [*limb.hidden, *tips]:
         gone, parent = ~seen.known[gap, j], seen.skeleton.parents[j]
@@ -183,11 +185,13 @@ def _place(seen: Seen, gap: slice, limb: Limb, before: Array) -> None:
         seen.positions[gap, j][gone] = (seen.positions[gap, parent] + bone)[gone]
 
 
-def _place_middle(seen: Seen, hidden: Flags, limb: tuple[int, int, int]) -> None:
+def _place_middle(
+    seen: BridgedMotion, hidden: Flags, limb: tuple[int, int, int]
+) -> None:
     """Put hidden elbows and knees between the visible ends of their limb."""
     _, middle, end = limb
     frames = hidden[:, middle] & ~hidden[:, end]
     if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
         lengths = (seen.lengths[middle], seen.lengths[end])
         first, inner, last = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
-        seen.positions[frames, middle] = between_ends(first, inner, last, lengths)[0]
+        seen.positions[frames, middle] = middle_joint(first, inner, last, lengths)[0]

@@ -33,7 +33,7 @@ def in_limbs(skeleton: Skeleton) -> Flags:
     """Return True for joints beyond a shoulder or a hip, shape (J,)."""
     inside = np.zeros(len(skeleton), dtype=np.bool_)
     for top, _, _ in limbs(skeleton):
-        inside[skeleton.beyond(top)] = True
+        inside[skeleton.descendants(top)] = True
     return inside
 
 
@@ -50,7 +50,7 @@ def _ends(skeleton: Skeleton) -> Indices:
     """Return the wrist or ankle of hand and foot joints, others themselves, (J,)."""
     ends = np.arange(len(skeleton))
     for _, _, end in limbs(skeleton):
-        ends[skeleton.beyond(end)] = end
+        ends[skeleton.descendants(end)] = end
     return ends
 
 

@@ -19,7 +19,7 @@ from kinefilter.characters.rotations import unit
 
 from .continuity import CONTEXT
 from .prior import MotionPrior
-from .windows import Descriptions, Limb, Seen, Stretches
+from .windows import BridgedMotion, Descriptions, Limb, Stretches
 
 SHORTEST = 0.4  # s: shorter gaps are only bridged, which a spline does well
 _LONGEST = 2.0  # s: longest stretch to learn from
@@ -78,7 +78,7 @@ class Recall:
 
 
 def learn(
-    seen: Seen,
+    seen: BridgedMotion,
     limb: Limb,
     length: int,
     queries: Array | None,

@@ -18,7 +18,7 @@ from .hidden_limbs import PAUSE
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import Recall, learn
-from .windows import Limb, Seen, Stretches
+from .windows import BridgedMotion, Limb, Stretches
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
 _LEARNS = 0.1  # s for which a limb is hidden before the recent frames are learned from
@@ -165,18 +165,18 @@ class HiddenLimbTracker:
         directions[list(limb.hidden)] = continued[0]
         if limb.leg is None:
             turn = between(before[end], directions[end])
-            for j in skeleton.beyond(end):
+            for j in skeleton.descendants(end):
                 if not self._known[k, j]:
                     directions[j] = rotate(turn, before[j])
 
-    def _motion_so_far(self, count: int, floor: float) -> Seen:
+    def _motion_so_far(self, count: int, floor: float) -> BridgedMotion:
         skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
         positions, directions = self._positions[:count], self._directions[:count]
         flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
-        return Seen(
+        return BridgedMotion(
             skeleton, rate, heading, positions, directions, *flags, lengths, floor
         )
 

@@ -44,7 +44,7 @@ class Limb:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class BridgedMotion:
     """A motion whose gaps are bridged."""
 
     skeleton: Skeleton
@@ -78,7 +78,7 @@ class Seen:
 class Stretches:
     """Stretches of a motion in which a limb is, or is treated as, hidden."""
 
-    seen: Seen
+    seen: BridgedMotion
     limb: Limb
     starts: Indices
     """First hidden frame of each stretch, shape (W,)."""

@@ -77,7 +77,7 @@ def find_stance(
     return _unloaded(time, stands)
 
 
-def feet_of(contacts: Flags) -> Flags:
+def planted_feet(contacts: Flags) -> Flags:
     """Return whether each foot is planted, (T, 2), from contacts (CONTACTS), (T, 4)."""
     return np.asarray(contacts.reshape(-1, 2, 2).any(axis=2))
 

@@ -112,7 +112,7 @@ def clearances(body: Body) -> Array:
     return found
 
 
-def sunk(heights: Array, clearance: Array) -> Array:
+def floor_penetration(heights: Array, clearance: Array) -> Array:
     """Return the depth [m] of a body in the floor beyond what contact allows, (...).
 
     Heights [m] of joints, shape (..., J), are compared with their ``clearances``. A
@@ -122,7 +122,7 @@ def sunk(heights: Array, clearance: Array) -> Array:
     return np.asarray(np.maximum(depth - _DEEPEST, 0.0))
 
 
-def place_of(positions: Array, skeleton: Skeleton) -> HeadingFrame:
+def find_placement(positions: Array, skeleton: Skeleton) -> HeadingFrame:
     """Return the frame in which a motion begins; ``remove`` it to place it in a scene.
 
     There the person starts at the origin and faces +z (MuJoCo's +x), the floor at 0.

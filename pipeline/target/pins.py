@@ -11,7 +11,7 @@ from kinefilter.characters import Origin
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.edits import Edit
-from kinefilter.pipeline.reconstruct.foothold import between_ends
+from kinefilter.pipeline.reconstruct.foothold import middle_joint
 from kinefilter.pipeline.reconstruct.limbs import limbs
 
 from .feet import PLANTED
@@ -36,16 +36,18 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
         away = np.array(list(places.values())) - positions[frames, j]
         curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
         moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)
-        limb = next((x for x in limbs(skeleton) if j in skeleton.beyond(x[1])), None)
+        limb = next(
+            (x for x in limbs(skeleton) if j in skeleton.descendants(x[1])), None
+        )
         first = j if limb is None else limb[2]
-        for k in (first, *skeleton.beyond(first)):
+        for k in (first, *skeleton.descendants(first)):
             stays = stands[:, k, None] & (limb is None)
             positions[:, k] += np.where(stays, 0.0, moves)
         if limb is not None:
             _, middle, end = limb
             lengths = (draft.body.lengths[middle], draft.body.lengths[end])
             top, inner, outer = np.moveaxis(positions[:, limb], 1, 0)
-            there, _ = between_ends(top, inner, outer, lengths)
+            there, _ = middle_joint(top, inner, outer, lengths)
             positions[:, middle] += firm * (there - positions[:, middle])
         weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
         moved = origin[frames, j] == Origin.MEASURED

@@ -23,7 +23,14 @@ from kinefilter.pipeline.stages import CHUNK, Stage
 from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
 
 from . import feet
-from .floor import clearances, floor_height, leveled, put_on_floor, sensor_tilt, sunk
+from .floor import (
+    clearances,
+    floor_height,
+    floor_penetration,
+    leveled,
+    put_on_floor,
+    sensor_tilt,
+)
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
 
@@ -231,7 +238,7 @@ class Feet(Stage):
         if contacts is None and self._file is not None:
             contacts = read_contacts(self._file, draft.time)
         if contacts is not None:
-            stands, heels = feet.feet_of(contacts), contacts[:, ::2]
+            stands, heels = feet.planted_feet(contacts), contacts[:, ::2]
         time, positions, weights = draft.time, draft.positions, draft.weights
         planted, down = np.empty_like(positions), np.empty_like(stands)
         for k in parts_of(time):
@@ -239,7 +246,7 @@ class Feet(Stage):
             planted[k], down[k] = feet.plant_feet(*frames, draft.body, heels[k])
         draft.positions = planted
         draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
-        draft.stands = feet.feet_of(draft.contacts)
+        draft.stands = feet.planted_feet(draft.contacts)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
         for part in feet.ankles_and_toes(draft.skeleton):
             weights[:, part] = np.where(stands, feet.PLANTED, weights[:, part])
@@ -316,7 +323,7 @@ class Orient(Stage):
                 draft.rotations[k], roots[k], body
             )
         heights = draft.posed[..., 1]
-        heights += sunk(heights, clearances(body))[:, None]
+        heights += floor_penetration(heights, clearances(body))[:, None]
 
 
 def _feet(draft: Draft) -> tuple[Array, Array, Flags, Body]:

@@ -58,7 +58,7 @@ class Turn:
     doubt: str = ""
     """Warning that the frame may be wrong, although it was left as it is."""
 
-    def told(self, leveled: float = 0.0) -> tuple[str, ...]:
+    def notes(self, leveled: float = 0.0) -> tuple[str, ...]:
         """Return notes for the user; the frame was also leveled by an angle [rad]."""
         tilt, notes = np.degrees(self.tilt + leveled), [self.doubt] * bool(self.doubt)
         if self.roll:

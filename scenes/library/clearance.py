@@ -86,7 +86,7 @@ def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
 
     A part is given by the joint at its end. Two arms each move by half.
     """
-    trunk = skeleton.up_from(skeleton.index("Head"))
+    trunk = skeleton.ancestors(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
     other = [skeleton.index(part + SIDES[1 - side]) for part in ("Elbow", *_FOREARM)]
     return [(end, 1.0) for end in trunk + legs] + [(end, 0.5) for end in other]

@@ -14,7 +14,7 @@ from zlib import crc32
 import numpy as np
 
 from kinefilter.characters import Body, InputError, Motion
-from kinefilter.characters.arrays import Array, check_word
+from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.characters.rotations import continuous, multiply, normalize
 
 from .actions import ACTIONS
@@ -92,7 +92,7 @@ def perform(
     Raises:
         InputError: There is no motion with that name.
     """
-    check_word(name, MOTIONS, "motion")
+    check_choice(name, MOTIONS, "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
     puppet = Puppet(body)
     length = rng.uniform(5.0, 9.0)
@@ -150,7 +150,7 @@ def perform_medley(
     base = stance(puppet, rng, wide=0.4)
     score = Score(base)
     for name, seconds in parts:
-        check_word(name, MOTIONS, "motion")
+        check_choice(name, MOTIONS, "motion")
         if name in GAITS:
             allowed = ", ".join(sorted(_SCRIPTS))
             raise InputError(

@@ -109,7 +109,7 @@ def track_in_depth(
     prop_poses = prop_poses or {}
     check_prop_poses(motion, prop_poses)
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
-    push, least = constants_of(forest, skeleton)
+    push, least = joint_constants(forest, skeleton)
     positions = np.full(motion.positions.shape, np.nan)
     state = np.full(positions.shape[:2], State.NOT_TRACKED, dtype=np.uint8)
     skin = None
@@ -118,19 +118,19 @@ def track_in_depth(
         image = with_noise(camera.take(joints, motion.rotations[t], props), sensor, rng)
         skin, area = propose(image, forest, skeleton, skin)
         if area.any():
-            positions[t] = behind(skin, push)
+            positions[t] = push_behind_skin(skin, push)
             state[t] = np.where(area >= least, State.TRACKED, State.INFERRED)
     return hold_inferred(positions, state, skeleton, sensor), state
 
 
-def constants_of(forest: BodyPartForest, skeleton: Skeleton) -> tuple[Array, Array]:
+def joint_constants(forest: BodyPartForest, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return each joint's depth behind the skin [m] and least area [m^2], (J,) each."""
     row = list(SKELETONS).index(skeleton.name)
     of_joint = np.argmax(parts_of_joints(skeleton), axis=0)
     return forest.push[row, of_joint], forest.least[row, of_joint]
 
 
-def behind(skin: Array, push: Array) -> Array:
+def push_behind_skin(skin: Array, push: Array) -> Array:
     """Return points [m] moved a distance [m] away from the origin."""
     return np.asarray(skin * (1.0 + push / np.linalg.norm(skin, axis=-1))[..., None])
 

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters import KINECT_V1, Motion, State, Take, standard_body
-from kinefilter.characters.arrays import Array, check_word
+from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.scenes.library.performers import perform_medley
 
 from .depth_tracker import track_in_depth
@@ -63,7 +63,7 @@ def observe(
         InputError: The tracker is unknown, a moving prop is not a direct child of the
             scene's worldbody, or its poses do not fit the motion.
     """
-    check_word(tracker, get_args(Tracker), "tracker")
+    check_choice(tracker, get_args(Tracker), "tracker")
     sensor, errors = sensor or Sensor(), errors or TrackerErrors()
     rng = np.random.default_rng([seed, 0])
     if tracker == "depth":

@@ -241,7 +241,7 @@ def _posture_error(motion: Motion, errors: TrackerErrors, person: Generator) -> 
     weights = np.sqrt(2.0 / _FEATURES) * (error_mixing(skeleton) @ weights)
     error = np.empty(bones.shape)
     tops = skeleton.sides("Elbow") + skeleton.sides("Knee")
-    limbs = [[top, *skeleton.beyond(top)] for top in tops]
+    limbs = [[top, *skeleton.descendants(top)] for top in tops]
     trunk = [j for j in range(len(skeleton)) if not any(j in limb for limb in limbs)]
     for part, posture in [(trunk, trunk), *((limb, limb + trunk) for limb in limbs)]:
         slopes = person.normal(size=(3 * len(posture), _FEATURES))

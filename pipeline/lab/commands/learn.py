@@ -146,7 +146,7 @@ class Train:
 
     def run(self) -> int:
         """Train the method and write the model."""
-        from kinefilter.pipeline.lab.simulate import furnished_pairs, simulated_pairs
+        from kinefilter.pipeline.lab.simulate import pairs_with_props, simulated_pairs
         from kinefilter.pipeline.lab.teach import teach
         from kinefilter.pipeline.lab.training import training_set
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
@@ -173,7 +173,7 @@ class Train:
             if self.simulated is None:
                 training = training_set(clips_of(files, progress), config)
             else:
-                simulated = furnished_pairs if self.furnished else simulated_pairs
+                simulated = pairs_with_props if self.furnished else simulated_pairs
                 pairs = simulated(self.simulated, progress=progress)
                 training = training_set(pairs, config)
             views, source = None, training.source

@@ -272,7 +272,7 @@ class Reproduce:
         data = studies.recordings_folder(self.data)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
-            if self.all is not None and studies.is_made(name, folder, stamp):
+            if self.all is not None and studies.is_up_to_date(name, folder, stamp):
                 out.print(f"{folder / name}.csv is up to date\n")
                 continue
             with progress_bars() as progress:
@@ -281,7 +281,7 @@ class Reproduce:
             written = studies.write_study(name, study, folder)
             out.print(studies.as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n")
-            studies.note_made(name, folder, stamp)
+            studies.record_fingerprint(name, folder, stamp)
         if self.all is None:
             return 0
         with progress_bars() as progress:

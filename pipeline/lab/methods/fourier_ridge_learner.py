@@ -87,7 +87,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
                 aside.append(replace(person, offsets=np.zeros_like(person.offsets)))
         means = [person.features.mean(axis=0) for person in recorded]
         self.mean_ = np.mean(means, axis=0).astype(np.float16).astype(np.float32)
-        parts = self._described.parts
+        parts = self._posture_features.parts
         learned = np.concatenate([part.joints for part in parts])
         means = [person.offsets.mean(axis=0) for person in recorded]
         offset = np.mean(means, axis=0).reshape(-1, 3)[learned]
@@ -137,7 +137,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
             ]
 
         whole = all_weights(np.arange(features.shape[1]), most)
-        live = all_weights(self._described.live, most // 2)
+        live = all_weights(self._posture_features.live, most // 2)
         for _ in steps:
             pass
         self.weights_, self.far_weights_, self.own_weights_ = whole
@@ -148,11 +148,11 @@ class FourierRidgeLearner(FourierRidge, Learner):
     def _mean_proportions(self, training: TrainingSet) -> Array:
         """Return the mean over people of ``PostureFeatures.proportions``."""
         if training.lengths is None or training.person is None:
-            return np.zeros(len(self._described.limbs))
+            return np.zeros(len(self._posture_features.limbs))
         each = []
         for person in np.unique(training.person):
             lengths = training.lengths[training.person == person]
-            each.append(self._described.proportions(np.median(lengths, 0)))
+            each.append(self._posture_features.proportions(np.median(lengths, 0)))
         return np.asarray(np.mean(each, axis=0))
 
 

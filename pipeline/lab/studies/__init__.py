@@ -8,7 +8,14 @@ with the measured ones.
 """
 
 from . import claims
-from .catalog import STUDIES, check_names, fingerprint, is_made, note_made, reproduce
+from .catalog import (
+    STUDIES,
+    check_names,
+    fingerprint,
+    is_up_to_date,
+    record_fingerprint,
+    reproduce,
+)
 from .output import check_drawing, check_studies_folder, make_pictures, write_study
 from .study import Options, Study, as_table
 from .takes import recordings_folder
@@ -23,9 +30,9 @@ __all__ = [
     "check_studies_folder",
     "claims",
     "fingerprint",
-    "is_made",
+    "is_up_to_date",
     "make_pictures",
-    "note_made",
+    "record_fingerprint",
     "recordings_folder",
     "reproduce",
     "write_study",

@@ -94,13 +94,13 @@ def fingerprint(data: Path | None, *, seed: int, quick: bool) -> str:
     return digest.hexdigest()
 
 
-def is_made(name: str, folder: Path, stamp: str) -> bool:
+def is_up_to_date(name: str, folder: Path, stamp: str) -> bool:
     """Return True if a folder has a study's table with this fingerprint."""
     noted, table = folder / f"{name}.made", folder / f"{name}.csv"
     return table.is_file() and noted.is_file() and noted.read_text("utf-8") == stamp
 
 
-def note_made(name: str, folder: Path, stamp: str) -> None:
+def record_fingerprint(name: str, folder: Path, stamp: str) -> None:
     """Record the fingerprint of a study's table."""
     with atomic_path(folder / f"{name}.made") as temporary:
         temporary.write_text(stamp, encoding="utf-8", newline="\n")

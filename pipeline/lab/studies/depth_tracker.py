@@ -16,7 +16,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.lab.accuracy import FAR, LIMBS
-from kinefilter.pipeline.lab.evaluate import tallied
+from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
 from kinefilter.pipeline.lab.simulate import simulated_pair
@@ -241,5 +241,5 @@ def _train_and_test(
         method: Corrector = learner.fit(training_set(pairs), simulated=more)
     else:
         method = make_corrector(skeleton, config)
-    summary = tallied(test, method, config).summary()
+    summary = tally_clips(test, method, config).summary()
     return summary["E"], summary["E_var"]

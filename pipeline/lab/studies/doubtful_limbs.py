@@ -17,7 +17,7 @@ from kinefilter.pipeline.correct import Corrector, Hold
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.hidden_limbs import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
-from kinefilter.pipeline.lab.limb_lessons import knowing, taught_by
+from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.lab.systems import System, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import silent
@@ -109,7 +109,7 @@ def _errors_of(
     """Return the errors on one person; None: on late repetitions of all people."""
     train, test = split(people, person, options)
     every, most, guesses = sizes
-    trainer, prior = trainer_of(train, options), taught_by(train)
+    trainer, prior = trainer_of(train, options), train_prior_on(train)
     none = _cleaned(CleanConfig("none", physics=False), None, prior)
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
@@ -129,7 +129,7 @@ def _raw(take: Take) -> tuple[Array, Turn]:
 def _cleaned(
     config: CleanConfig, corrector: Corrector | None, prior: MotionPrior
 ) -> Runner:
-    cleaner = knowing(Cleaner(config, corrector=corrector), config, prior)
+    cleaner = with_prior(Cleaner(config, corrector=corrector), config, prior)
 
     def run(take: Take) -> tuple[Array, Turn]:
         clip = cleaner.clean(take).clip

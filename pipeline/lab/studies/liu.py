@@ -13,7 +13,7 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
-from kinefilter.pipeline.lab.recorded_acts import Pair, paired_by, pairs_of
+from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, simulated_pair_of
 from kinefilter.pipeline.lab.simulate import simulate
 from kinefilter.pipeline.lab.systems import systems_of
 from kinefilter.pipeline.pairs import PairedTake
@@ -203,7 +203,7 @@ def liu_table_4(
     record = partial(simulate, "basic", tracker="depth")
     with workers() as pool:
         jobs = [pool.submit(record, name, seed=seed) for name, seed in acts]
-        jobs += [pool.submit(paired_by, move, "depth") for move in moves]
+        jobs += [pool.submit(simulated_pair_of, move, "depth") for move in moves]
         takes = [job.result() for job in over(jobs, "record", options.progress)]
     labels = [name for name, _ in acts] + ["every movement"] * len(moves)
     found: dict[str, list[list[Array]]] = {}

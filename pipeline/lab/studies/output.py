@@ -25,7 +25,7 @@ from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.hidden_limbs import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
-from kinefilter.pipeline.lab.limb_lessons import knowing, taught_by
+from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
 
@@ -208,7 +208,7 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         if pair.clip.startswith("m07") and not pair.clip.endswith("_inc")
     ]
     others = (pair for file in people.values() for pair in read_pairs(file)[::_OTHERS])
-    cleaner = knowing(Cleaner(), CleanConfig(), taught_by(others))
+    cleaner = with_prior(Cleaner(), CleanConfig(), train_prior_on(others))
     take, cases = next(iter(join_cases(pairs, "repetitions")))
     arm, hidden = [j for j in HIDDEN["right-arm"] if j in take.skeleton.joints], take
     joints = [take.skeleton.index(joint) for joint in arm]

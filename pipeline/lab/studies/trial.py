@@ -16,7 +16,7 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
-from kinefilter.pipeline.lab.systems import School, systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 
 from .study import Options
@@ -32,7 +32,7 @@ class Group:
     people: str
     """Whether the people are ``new`` to the systems or ``known``."""
     tests: list[PairedTake]
-    trainer: School
+    trainer: CorrectorFactory
 
     @cached_property
     def accuracy(self) -> Accuracy:
@@ -124,10 +124,10 @@ def split(
     return [clip for clip in clips if not is_test(clip)][::_TRAIN_EVERY], test
 
 
-def trainer_of(clips: list[PairedTake], options: Options) -> School:
+def trainer_of(clips: list[PairedTake], options: Options) -> CorrectorFactory:
     """Return an object that trains systems on clips, with the built-in database."""
     skeleton = clips[0].take.skeleton
-    return School(
+    return CorrectorFactory(
         clips,
         skeleton,
         people=False,
