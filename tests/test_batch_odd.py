@@ -191,7 +191,7 @@ def test_what_is_no_file_is_told_and_never_opened(takes: Path, tmp_path: Path) -
     (takes / "folder.csv").mkdir()
     (takes / "gone.csv").symlink_to("nowhere.csv")
     (takes / "round.csv").symlink_to("round.csv")
-    wrong = {"gone.csv": "a link to a file", "round.csv": "a link to a file"}
+    wrong = dict.fromkeys(("gone.csv", "round.csv"), "a link to a missing file")
     if hasattr(os, "mkfifo"):
         os.mkfifo(takes / "pipe.csv")
         (takes / "null.csv").symlink_to(os.devnull)
@@ -208,7 +208,7 @@ def test_what_is_no_file_is_told_and_never_opened(takes: Path, tmp_path: Path) -
         assert all(words in errors[take] for take, words in wrong.items())
     done = {row.take for row in outcome.kept if row.status == "done"}
     assert done == {"a.csv", "monday/b.csv", "monday/late/c.csv"}
-    with pytest.raises(InputError, match="restore or remove"):
+    with pytest.raises(InputError, match="restore that file or remove the link"):
         check_file(takes / "gone.csv")
 
 

@@ -129,7 +129,7 @@ def test_a_camera_file_says_where_the_camera_is(
         ("position = ", "not TOML"),
         (f"position = {'[' * 5000}", "not TOML"),
         (f"position = {'9' * 5000}", "not TOML"),
-        ("# " + "x" * 70_000, "more than"),
+        ("# " + "x" * 70_000, "larger than"),
     ],
 )
 def test_a_wrong_camera_file_is_refused(

@@ -188,7 +188,7 @@ def _all(stream: _Stream, path: Path, most: int) -> bytes:
 
 
 def _too_long(path: Path, most: int) -> InputError:
-    return InputError(f"{path}: is longer than {most / 1e6:.3g} MB; split it")
+    return InputError(f"{path}: larger than {most / 1e6:.3g} MB; split it")
 
 
 @contextmanager
@@ -204,8 +204,8 @@ def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream, 
                 yield stream, min(most, max(_ANY_RATIO, ratio))
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: is not UTF-8 text (byte 0x{error.object[error.start]:02x}); "
-            "expected a text file, save it as CSV in UTF-8"
+            f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); save it "
+            "as plain text in UTF-8"
         ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(f"{path}: damaged gzip ({error}); copy it again") from None

@@ -55,13 +55,14 @@ class Session:
         self.sensors: Sensors | None = None
         self._new_person: Callable[[], Person] = partial(Person, config)
         if count > 1:
-            from kinefilter.pipeline.merge import calibration
+            from kinefilter.pipeline.merge import read_calibration
+            from kinefilter.pipeline.merge.alignment import check_sensors
 
             from .fusing import FusedPerson
             from .sensors import Sensors
 
-            known = calibration.read_calibration(config.calibration)
-            calibration.check_sensors(known, count)
+            known = read_calibration(config.calibration)
+            check_sensors(known, count)
             self.sensors = Sensors(self._skeleton, count, known, self.tally)
             self._new_person = partial(FusedPerson, config, self.sensors)
         elif config.calibration is not None:

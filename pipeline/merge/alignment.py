@@ -8,6 +8,7 @@ together after that refines the lag, and how the lag changes tells the drift.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -285,3 +286,12 @@ def _trunk(take: Take) -> Track:
     skeleton = take.skeleton
     joints = [*_spine(skeleton), *skeleton.sides("Shoulder"), *skeleton.hips]
     return Track(take.time, take.positions[:, joints])
+
+
+def check_sensors(calibration: Sequence[Alignment], sensors: int) -> None:
+    """Raise InputError if a calibration is for another number of sensors."""
+    if calibration and len(calibration) != sensors - 1:
+        raise InputError(
+            f"the calibration covers {len(calibration) + 1} sensors, but {sensors} are "
+            "given; give the takes of the same sensors in the same order"
+        )

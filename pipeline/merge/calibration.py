@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,12 +67,3 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
             f"({str(error)[:80]})"
         ) from None
     return tuple(alignments)
-
-
-def check_sensors(calibration: Sequence[Alignment], sensors: int) -> None:
-    """Raise InputError if a calibration is for another number of sensors."""
-    if calibration and len(calibration) != sensors - 1:
-        raise InputError(
-            f"the calibration covers {len(calibration) + 1} sensors, but {sensors} are "
-            "given; give the same sensors, in its order"
-        )

@@ -14,8 +14,7 @@ from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
-from .alignment import IDENTITY, Alignment
-from .calibration import check_sensors
+from .alignment import IDENTITY, Alignment, check_sensors
 from .fusion import Fused, Fusion, Sight
 from .lag import Track
 from .person import find_person
