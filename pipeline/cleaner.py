@@ -42,7 +42,7 @@ from .stages import (
     Standardize,
 )
 from .target.floor import to_world
-from .target.stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
+from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
 
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion

@@ -38,7 +38,7 @@ _FILES = {
     "lab.commands.learn": "pair, train, database",
     "lab.commands.measure": "evaluate, reproduce, bench",
     "lab.commands.simulate": "simulate",
-    "lab.commands.rating": "rate, ratings",
+    "lab.commands.rate": "rate, ratings",
 }
 """Modules in ``pipeline``, with the commands in each."""
 COMMANDS = ", ".join(_GROUPS.values()).split(", ")

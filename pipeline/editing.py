@@ -23,7 +23,7 @@ from .progress import Progress
 from .stages import Stage
 from .target.feet import ankles_and_toes
 from .target.pins import pin
-from .target.stages import Feet
+from .target.target_stages import Feet
 
 # Distances from the nearest edit [s].
 _FULL = 0.15  # within it only the edited target counts

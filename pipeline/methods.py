@@ -47,18 +47,20 @@ METHODS = {
     "one-euro": Method("correct.one_euro:OneEuro", "skeleton"),
     "kalman": Method("lab.methods.filters:ConstantLengthKalman", "skeleton"),
     "low-rank": Method("lab.methods.low_rank:LowRank", "skeleton"),
-    "nearest": Method("lab.methods.shum:Nearest", "database"),
-    "posture-space": Method("lab.methods.shum:LeastEnergy", "database", ("seed",)),
-    "no-reliability": Method("lab.methods.shum:NoReliability", "database", ("seed",)),
+    "nearest": Method("lab.methods.posture:Nearest", "database"),
+    "posture-space": Method("lab.methods.posture:LeastEnergy", "database", ("seed",)),
+    "no-reliability": Method(
+        "lab.methods.posture:NoReliability", "database", ("seed",)
+    ),
 }
 """Correction methods."""
 LEARNED = {name: m for name, m in METHODS.items() if m.requires == "pairs"}
 """Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
-    "chiang": "lab.scorers.chiang:ChiangReliabilityScorer",
-    "noise": "lab.scorers.noise:NoiseReliabilityScorer",
-    "learned": "lab.scorers.learned:LearnedReliabilityScorer",
+    "chiang": "lab.scorers.chiang_scorer:ChiangReliabilityScorer",
+    "noise": "lab.scorers.noise_scorer:NoiseReliabilityScorer",
+    "learned": "lab.scorers.learned_scorer:LearnedReliabilityScorer",
 }
 """Reliability scorers: after Shum 2013, after Chiang 2017, from noise and segment
 lengths, and trained on simulated people."""

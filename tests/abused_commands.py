@@ -31,7 +31,7 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.sheets import contact_table
 from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point

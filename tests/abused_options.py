@@ -26,7 +26,8 @@ import kinefilter
 from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.cli import _command
 from kinefilter.pipeline.commands import live
-from kinefilter.pipeline.lab import bench, scripted_database, simulate, studies, teach
+from kinefilter.pipeline.lab import bench, scripted_database, studies, teach
+from kinefilter.pipeline.lab import simulation as simulate
 from kinefilter.pipeline.lab.commands.learn import DatabaseBuild, DatabaseInfo
 from kinefilter.pipeline.look.player import Player
 from kinefilter.pipeline.look.viewer import Viewer

@@ -15,7 +15,7 @@ from kinefilter.pipeline.batch.crew import Crew
 from kinefilter.pipeline.batch.plan import Job
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.scenes.sensor import sample_take
 
 __all__ = ["Here", "make_takes", "second_view", "short_take", "write_session"]

@@ -22,9 +22,9 @@ from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.accuracy import LIMBS
-from kinefilter.pipeline.lab.simulate import SimulatedView, simulate_session
-from kinefilter.pipeline.live.config import LiveConfig
+from kinefilter.pipeline.lab.simulation import SimulatedView, simulate_session
 from kinefilter.pipeline.live.fusing import FusedPerson
+from kinefilter.pipeline.live.live_config import LiveConfig
 from kinefilter.pipeline.live.messages import Frame, SeenBody
 from kinefilter.pipeline.live.sensors import Sensors
 from kinefilter.pipeline.live.tally import Tally

@@ -13,10 +13,10 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from kinefilter import read_take
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import Address
+from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, SeenBody, format_frame
-from kinefilter.pipeline.live.session import Session
 
 SAMPLE = read_take(sample_path())
 UDP, WS = "udp://127.0.0.1:0", "ws://127.0.0.1:0"

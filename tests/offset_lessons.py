@@ -13,8 +13,8 @@ from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.lab.methods.baselines import Exemplar, FullGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
-from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
+from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import read_pairs
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.characters import SKELETONS
-from kinefilter.pipeline.lab.scorers.learned import learned_weights
-from kinefilter.pipeline.lab.simulate import pairs_with_props
+from kinefilter.pipeline.lab.scorers.learned_scorer import learned_weights
+from kinefilter.pipeline.lab.simulation import pairs_with_props
 
 FOLDER = Path(__file__).parents[1] / "pipeline" / "lab" / "embedded"
 

@@ -21,7 +21,7 @@ from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.settings import Settings
 
 FLAGS = ["--method", "none", "--no-physics"]

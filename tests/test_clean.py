@@ -27,7 +27,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, write_clip
 from kinefilter.pipeline.formats.usd_reader import read_usd_positions
-from kinefilter.pipeline.lab.simulate import simulate, truth_of
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import observe, sample_take
 

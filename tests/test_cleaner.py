@@ -20,7 +20,7 @@ from kinefilter.pipeline.correct import Correction, Corrector, Observation
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.accuracy import Tally
 from kinefilter.pipeline.lab.evaluate import evaluate
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.methods import METHODS
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_body

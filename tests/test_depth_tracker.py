@@ -17,7 +17,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.lab import teach_depth
 from kinefilter.pipeline.lab.studies import Options, reproduce
-from kinefilter.pipeline.lab.studies.depth_tracker import error_figures
+from kinefilter.pipeline.lab.studies.tracker_studies import error_figures
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
 from kinefilter.scenes.sensor.body_part_forest import (
     BODY_PARTS,

@@ -19,7 +19,7 @@ from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile, read_edits
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate, simulate_session
+from kinefilter.pipeline.lab.simulation import simulate, simulate_session
 from kinefilter.pipeline.pairs import PairedTake
 
 ARM = [

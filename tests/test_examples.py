@@ -13,7 +13,7 @@ from batch_takes import short_take
 
 from kinefilter import read_clip, read_take
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "scenes" / "examples"

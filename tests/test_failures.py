@@ -22,7 +22,7 @@ from kinefilter.pipeline.failures import (
     find_failures,
     unmirrored,
 )
-from kinefilter.pipeline.failures.limbs import trunk_axes
+from kinefilter.pipeline.failures.limb_failures import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import Scores
 from kinefilter.pipeline.summary import as_json

@@ -10,12 +10,12 @@ from real_data import DATA, paired, recorded
 
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.lab.hidden_limbs import middle
-from kinefilter.pipeline.lab.studies import takes
+from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
+from kinefilter.pipeline.lab.studies import study_takes as takes
 from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
 from kinefilter.pipeline.lab.studies.detection import _near
 from kinefilter.pipeline.lab.studies.doubtful_limbs import _means, _raw
-from kinefilter.pipeline.lab.studies.methods import _study
+from kinefilter.pipeline.lab.studies.method_comparison import _study
 from kinefilter.pipeline.lab.studies.study import Options
 
 WRIST = KINECT_V1.index("WristLeft")

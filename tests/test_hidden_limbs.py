@@ -12,11 +12,15 @@ import pytest
 
 from kinefilter.characters import KINECT_V1, InputError, State, Take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.lab import hidden_limbs
-from kinefilter.pipeline.lab.hidden_limbs import HiddenLimbs, measure_hidden, summarize
+from kinefilter.pipeline.lab import hidden_limb_evaluation as hidden_limbs
+from kinefilter.pipeline.lab.hidden_limb_evaluation import (
+    HiddenLimbs,
+    measure_hidden,
+    summarize,
+)
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, Recording, joined
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import HeadingFrame
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 

@@ -19,7 +19,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of, contents_of_take
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_clip, write_contacts, write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 
 MakeClip = Callable[..., Clip]
 

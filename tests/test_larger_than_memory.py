@@ -15,10 +15,10 @@ from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab import spool
 from kinefilter.pipeline.lab.database_build import database_from_pairs
-from kinefilter.pipeline.lab.methods import lessons as module
+from kinefilter.pipeline.lab.methods import training_data as module
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
-from kinefilter.pipeline.lab.methods.lessons import TrainingFrames, TrainingSet
-from kinefilter.pipeline.lab.simulate import simulate, write_pairs
+from kinefilter.pipeline.lab.methods.training_data import TrainingFrames, TrainingSet
+from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake

@@ -28,13 +28,13 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.evaluate import reliability_auc
-from kinefilter.pipeline.lab.scorers.learned import (
+from kinefilter.pipeline.lab.scorers.learned_scorer import (
     TERMS,
     ClueWeights,
     LearnedReliabilityScorer,
     learned_weights,
 )
-from kinefilter.pipeline.lab.simulate import pairs_with_props, simulate
+from kinefilter.pipeline.lab.simulation import pairs_with_props, simulate
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.scenes.library import perform

@@ -14,11 +14,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import MAX_CONNECTIONS, Access
+from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import open_sender
-from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 

@@ -25,10 +25,10 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.live import Live, Replay, status, summary
 from kinefilter.pipeline.commands.terminal import stopped_by_signals
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import Address
+from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Reason, format_frame
-from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 KINEFILTER = [sys.executable, "-m", "kinefilter.pipeline.cli"]

@@ -15,8 +15,8 @@ from live_session import SAMPLE, sample_frame
 from kinefilter import read_take
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline.live import recorder as recording
-from kinefilter.pipeline.live.config import LiveConfig
 from kinefilter.pipeline.live.crowd import Crowd, Person
+from kinefilter.pipeline.live.live_config import LiveConfig
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
 from kinefilter.pipeline.reliability import measure_reference

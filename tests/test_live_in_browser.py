@@ -14,7 +14,7 @@ import pytest
 from browser import Browser
 from live_session import SAMPLE, WS, Sender, config, running, sample_frame
 
-from kinefilter.pipeline.live.config import AccessConfig
+from kinefilter.pipeline.live.live_config import AccessConfig
 
 _TOKEN = "0123456789abcdef"
 _THREE_LINES = """

@@ -15,9 +15,9 @@ from live_session import PATIENCE, SAMPLE, config, sample_frame
 
 from kinefilter.pipeline.live import background
 from kinefilter.pipeline.live.endpoints import Address
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import open_sender, replay
-from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 
 

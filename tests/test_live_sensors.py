@@ -22,10 +22,10 @@ from live_session import (
 
 from kinefilter import Avatar, read_take
 from kinefilter.characters import KINECT_V1, InputError, standard_body
-from kinefilter.pipeline.lab.simulate import SimulatedView
+from kinefilter.pipeline.lab.simulation import SimulatedView
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, format_frame
 from kinefilter.pipeline.live.sensors import Sensors, find_alignment
-from kinefilter.pipeline.live.session import Session
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.merge import align, merge, write_calibration
 

@@ -19,7 +19,7 @@ from kinefilter import merge, read_clip, read_take
 from kinefilter.characters import KINECT_V2, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab.simulate import simulate_session
+from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
 from kinefilter.pipeline.merge.facing import Facing
 from kinefilter.pipeline.merge.rigid import Placement, placement

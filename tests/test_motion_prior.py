@@ -18,7 +18,7 @@ from kinefilter.pipeline.lab.limb_lessons import (
     relative_errors,
     train_prior,
 )
-from kinefilter.pipeline.lab.simulate import simulated_pairs
+from kinefilter.pipeline.lab.simulation import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs

@@ -29,8 +29,8 @@ from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods.baselines import Exemplar, FullGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
-from kinefilter.pipeline.lab.methods.lessons import TrainingSet
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
+from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 

@@ -11,7 +11,7 @@ from real_data import DATA, paired, recorded
 
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.studies import (
     chiang,
     liu,

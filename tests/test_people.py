@@ -21,7 +21,7 @@ from kinefilter.pipeline.formats import (
     read_takes,
     write_take_csv,
 )
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.people import Track, people_of
 
 

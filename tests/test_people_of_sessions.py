@@ -17,7 +17,7 @@ from kinefilter.characters import KINECT_V2, InputError, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_recording, read_takes, write_take_csv
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.lab.simulate import simulate_session
+from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.scenes.sensor import in_sensor_frame
 

@@ -19,8 +19,8 @@ from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.field_types import converted, keyword_hints
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
-from kinefilter.pipeline.lab.methods.shum import LeastEnergy
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.methods.posture import LeastEnergy
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS

@@ -18,8 +18,8 @@ from kinefilter.characters.rotations import rotate
 from kinefilter.scenes import SCENES, load_scene
 from kinefilter.scenes.library import movable_props, perform, prop_poses
 from kinefilter.scenes.library.ball import Contact, Ending, ball_path, contacts
-from kinefilter.scenes.library.hands import Hands
 from kinefilter.scenes.library.moving_props import box_path
+from kinefilter.scenes.library.performer_hands import Hands
 
 Array = NDArray[np.float64]
 FPS = 30.0

@@ -30,7 +30,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_clip, read_recording, read_take, write_clip
 from kinefilter.pipeline.formats.takes import FORMATS
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 
 MakeClip = Callable[..., Clip]
 _AT_ONCE = ("azure", "trc")  # no blank line before them in the text

@@ -20,7 +20,7 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.recorded_acts import mocap_act
-from kinefilter.pipeline.lab.simulate import area_in_view, motion_for, simulate
+from kinefilter.pipeline.lab.simulation import area_in_view, motion_for, simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.scenes import SCENES

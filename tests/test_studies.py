@@ -13,7 +13,7 @@ import pytest
 
 from kinefilter.characters import KINECT_V1, SKELETONS, InputError, standard_body
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.studies import (
     STUDIES,
     Study,
@@ -23,7 +23,11 @@ from kinefilter.pipeline.lab.studies import (
 )
 from kinefilter.pipeline.lab.studies.corrected import bone_errors
 from kinefilter.pipeline.lab.studies.study import Options, Panel, Series
-from kinefilter.pipeline.lab.studies.takes import CLASSES, first_person, study_takes
+from kinefilter.pipeline.lab.studies.study_takes import (
+    CLASSES,
+    first_person,
+    study_takes,
+)
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import perform, prop_poses, random_body
 

@@ -27,7 +27,14 @@ from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, planted_feet
-from kinefilter.pipeline.target.stages import Bones, Feet, Floor, Level, Orient, Smooth
+from kinefilter.pipeline.target.target_stages import (
+    Bones,
+    Feet,
+    Floor,
+    Level,
+    Orient,
+    Smooth,
+)
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

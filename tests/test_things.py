@@ -11,7 +11,7 @@ from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, Prop, standard_body
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import IDENTITY, about_y, multiply, rotate
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import HeadingFrame
 

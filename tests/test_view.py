@@ -25,7 +25,7 @@ from kinefilter.pipeline.look.comparison import read_comparison
 from kinefilter.pipeline.look.doubts import doubtful
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.edit_history import EditHistory, timeline_html
-from kinefilter.pipeline.look.playback import Playback
+from kinefilter.pipeline.look.playhead import Playback
 from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
 

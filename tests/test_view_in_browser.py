@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
 from kinefilter.pipeline.edits import Edit, read_edits
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.lab.simulate import simulate_session
+from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.viewer import CleanAgain, Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server

@@ -9,7 +9,7 @@ that plans the jobs and writes the manifest. ``tests/batch_figures.py`` measures
 """
 
 from .manifest import ClipRow, Row
+from .outcome_tables import as_tables
 from .run import JobProgress, Outcome, clean_files
-from .summary import as_tables
 
 __all__ = ["ClipRow", "JobProgress", "Outcome", "Row", "as_tables", "clean_files"]

@@ -14,8 +14,8 @@ from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.live.background import meanwhile
-from kinefilter.pipeline.live.config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.endpoints import parse_address
+from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.loopback import is_loopback
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from kinefilter.characters import Take
     from kinefilter.pipeline.live.endpoints import Address
-    from kinefilter.pipeline.live.session import Session
+    from kinefilter.pipeline.live.live_session import Session
 
 _REFRESH = 0.3  # s between status updates on a terminal
 _LOGGED = 60.0  # s between status lines without a terminal, as in a log file
@@ -56,7 +56,7 @@ class Live:
 
     def run(self) -> int:
         """Follow people until Ctrl-C, SIGTERM or the end of the input."""
-        from kinefilter.pipeline.live.session import Session
+        from kinefilter.pipeline.live.live_session import Session
 
         check_output(self.json)
         session = Session(self.config, self.access)

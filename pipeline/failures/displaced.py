@@ -18,7 +18,7 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame
 
 from .gross import Failure, FailureKind, stretches
-from .limbs import LIMBS
+from .limb_failures import LIMBS
 
 _FAR = 0.09
 """Distance [m], relative to the joint's mean over the take, from which a limb is

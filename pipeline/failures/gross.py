@@ -14,7 +14,14 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 
 from .bodies import misplaced_frames, wrong_size_frames
-from .limbs import LIMBS, bent_backwards, leaps, leftward, out_of_range, through_head
+from .limb_failures import (
+    LIMBS,
+    bent_backwards,
+    leaps,
+    leftward,
+    out_of_range,
+    through_head,
+)
 
 _SPIN = np.radians(120.0)
 _SPIN_TIME = 1.0 / 6.0

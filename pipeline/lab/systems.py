@@ -16,7 +16,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import Progress, over, silent
 
-from .methods.lessons import TrainingSet
+from .methods.training_data import TrainingSet
 from .teach import teach
 from .training import training_set
 

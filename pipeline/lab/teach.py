@@ -12,8 +12,8 @@ from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.progress import Progress, silent
 
 from .methods.fourier_ridge_learner import FourierRidgeLearner
-from .methods.lessons import Learner, TrainingSet
-from .simulate import simulated_pairs
+from .methods.training_data import Learner, TrainingSet
+from .simulation import simulated_pairs
 from .training import training_set
 
 _SIMULATED = 102  # people besides the recorded ones: two per motion

@@ -14,7 +14,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import Standardizer
 
-from .methods.lessons import TrainingSet
+from .methods.training_data import TrainingSet
 from .spool import Spool
 
 

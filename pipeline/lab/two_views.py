@@ -31,7 +31,7 @@ from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .accuracy import area_under_roc
-from .methods.lessons import TrainingSet
+from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .pairing import changed_bones
 from .systems import check_untrained

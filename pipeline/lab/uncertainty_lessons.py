@@ -36,7 +36,7 @@ from kinefilter.pipeline.uncertainty import (
 from kinefilter.pipeline.workers import workers
 
 from .accuracy import within_uncertainty
-from .hidden_limbs import join_cases
+from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
 from .limb_lessons import train_prior_on, with_prior

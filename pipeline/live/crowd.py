@@ -13,7 +13,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.reliability import measure_body
 
-from .config import LiveConfig
+from .live_config import LiveConfig
 from .messages import Frame, SeenBody, as_arrays
 from .tally import Event, Tally
 

@@ -25,7 +25,7 @@ from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats.files import read_limited
 from kinefilter.pipeline.loopback import OWN_PAGES, is_loopback
 
-from .config import AccessConfig, LiveConfig
+from .live_config import AccessConfig, LiveConfig
 from .tally import Event, Tally
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from kinefilter.pipeline.merge import Corrected, Fusion, Sight
 from kinefilter.pipeline.merge.alignment import IDENTITY
 from kinefilter.pipeline.merge.rigid import Placement
 
-from .config import LiveConfig
 from .crowd import Person
+from .live_config import LiveConfig
 from .messages import SeenBody
 from .sensors import MAX_AGE, Sensors
 from .tally import Event

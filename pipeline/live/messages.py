@@ -43,7 +43,7 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.motion import LATEST_TIME_STAMP
 from kinefilter.pipeline.formats.recording import mark_missing
 
-from .config import MAX_BODIES
+from .live_config import MAX_BODIES
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose

@@ -17,7 +17,7 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.formats import read_clip
 
-from .sensors import Sensor, sensors_of
+from .sensor_views import Sensor, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import CleanResult

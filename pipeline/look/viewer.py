@@ -20,8 +20,8 @@ from kinefilter.pipeline.progress import Progress
 from .doubts import doubtful
 from .drawing import Drawing
 from .edit_history import EditHistory, timeline_html
-from .playback import Playback
-from .sensors import Sensor
+from .playhead import Playback
+from .sensor_views import Sensor
 from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
 

@@ -2,7 +2,7 @@
 
 from .gaits import Area
 from .moving_props import movable_props, prop_poses
-from .people import random_body
+from .performer_bodies import random_body
 from .performers import MOTIONS, perform, perform_medley
 
 __all__ = [

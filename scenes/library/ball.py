@@ -21,7 +21,7 @@ from scipy.signal import find_peaks
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, runs
 
-from .hands import Hands, fading
+from .performer_hands import Hands, fading
 from .poses import LEFT, RIGHT
 
 RESTITUTION = 0.767

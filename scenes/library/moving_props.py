@@ -18,7 +18,7 @@ from kinefilter.characters.arrays import Array, runs
 from kinefilter.characters.rotations import matrix_from_wxyz, normalize
 
 from .ball import ball_path
-from .hands import Hands, fading
+from .performer_hands import Hands, fading
 
 Support = Callable[[Array], float]
 

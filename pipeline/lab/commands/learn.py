@@ -68,7 +68,7 @@ class Pair:
         from kinefilter.pipeline.lab import pairing_report as report
         from kinefilter.pipeline.lab.marker_sets import read_marker_set
         from kinefilter.pipeline.lab.pairing import pair_session
-        from kinefilter.pipeline.lab.simulate import write_pairs
+        from kinefilter.pipeline.lab.simulation import write_pairs
         from kinefilter.pipeline.lab.studies import check_drawing
 
         if len(self.files) < 2 or len(self.files) % 2:
@@ -146,7 +146,7 @@ class Train:
 
     def run(self) -> int:
         """Train the method and write the model."""
-        from kinefilter.pipeline.lab.simulate import pairs_with_props, simulated_pairs
+        from kinefilter.pipeline.lab.simulation import pairs_with_props, simulated_pairs
         from kinefilter.pipeline.lab.teach import teach
         from kinefilter.pipeline.lab.training import training_set
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs

@@ -163,7 +163,7 @@ class Evaluate:
         return figures, as_table(figures)
 
     def _hide(self) -> tuple[dict[str, Any], Table]:
-        from kinefilter.pipeline.lab import hidden_limbs
+        from kinefilter.pipeline.lab import hidden_limb_evaluation as hidden_limbs
 
         if not self.pairs:
             raise InputError(

@@ -57,7 +57,7 @@ class Simulate:
 
     def run(self) -> int:
         """Simulate and write the take or takes."""
-        from kinefilter.pipeline.lab import simulate as lab
+        from kinefilter.pipeline.lab import simulation as lab
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed}: must be at least 0")

@@ -15,8 +15,8 @@ from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
 from .fused_offsets import Energy, FusedOffsets
-from .lessons import OffsetCorrector, TrainingFrames, TrainingSet
 from .local_models import JointFeatures, JointKernels, fit_kernels
+from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
 # The prediction alone counts.
 _ENERGY: Energy = {"temporal": 0.0, "reliability": 0.0, "likelihood": "density"}

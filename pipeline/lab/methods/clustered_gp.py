@@ -21,7 +21,7 @@ from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget.body_size import chain_matrix
 
 from .gaussian_process import Kernel, fit_kernel
-from .lessons import Learner, TrainingFrames, TrainingSet
+from .training_data import Learner, TrainingFrames, TrainingSet
 
 _POOL = 25  # frames drawn per centroid
 _FOR_KERNEL = 400  # centroids that hyper-parameters are fitted to

@@ -15,8 +15,8 @@ from kinefilter.pipeline.correct.posture_features import Part
 from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.progress import Progress, silent
 
-from .lessons import Learner, TrainingSet
 from .ridge import Person, own_weights, people_in, ridge_weights
+from .training_data import Learner, TrainingSet
 
 # Weight and maximum number of a person's frames, as in ``people_in``, for recorded and
 # simulated people, and numbers of centers of the training postures. Chosen by leaving

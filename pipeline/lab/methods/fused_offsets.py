@@ -17,7 +17,7 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.hold import RELIABLE
 
-from .lessons import OffsetCorrector, TrainingSet, add_offsets
+from .training_data import OffsetCorrector, TrainingSet, add_offsets
 
 Likelihood = Literal["relative", "density"]
 """Units of the energy's terms. ``relative``: squared distances, the spatial one scaled

@@ -20,7 +20,7 @@ from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .lessons import OffsetCorrector, TrainingFrames, TrainingSet
+from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
 _RIDGE = 0.2
 """Penalty on large offsets when training on simulated people. At half of it, one real

@@ -21,7 +21,6 @@ from kinefilter.pipeline.progress import Progress, silent
 
 from .fused_offsets import Energy, FusedOffsets
 from .gaussian_process import informative_samples
-from .lessons import TrainingFrames, TrainingSet
 from .local_models import (
     JointFeatures,
     JointKernels,
@@ -30,6 +29,7 @@ from .local_models import (
     Votes,
     fit_kernels,
 )
+from .training_data import TrainingFrames, TrainingSet
 
 _POOL = 4  # frames drawn per sample kept, for posture budgeting to choose from
 _FOR_CERTAIN = 300  # training frames on which the median variance is measured

@@ -15,7 +15,7 @@ from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.correct.posture_features import PostureFeatures
 from kinefilter.pipeline.correct.random_features import RandomFeatures, direction_to
 
-from .lessons import TrainingSet
+from .training_data import TrainingSet
 
 # Variances of random effects and noise, relative to 1 for what all people share.
 _SHARE = 0.07  # a: of the effect of a person or a clip

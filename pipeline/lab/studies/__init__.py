@@ -18,7 +18,7 @@ from .catalog import (
 )
 from .output import check_drawing, check_studies_folder, make_pictures, write_study
 from .study import Options, Study, as_table
-from .takes import recordings_folder
+from .study_takes import recordings_folder
 
 __all__ = [
     "STUDIES",

@@ -10,7 +10,7 @@ from pathlib import Path
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
-from . import chiang, depth_tracker, detection, liu, methods, shum, wang
+from . import chiang, detection, liu, method_comparison, shum, tracker_studies, wang
 from .cleaned_takes import cleaned_takes
 from .speed import million_postures, speed
 from .study import Options, Study
@@ -21,9 +21,12 @@ _EXCEPT = ("claims.toml",)  # has no effect on what is measured
 
 STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
     "cleaned-takes": (cleaned_takes, {"count": 2}),
-    "methods-new-people": (methods.methods_new_people, {"count": 2, "movements": 1}),
+    "methods-new-people": (
+        method_comparison.methods_new_people,
+        {"count": 2, "movements": 1},
+    ),
     "methods-known-people": (
-        methods.methods_known_people,
+        method_comparison.methods_known_people,
         {"count": 1, "movements": 1},
     ),
     "failures": (detection.failures, {"count": 2, "movements": 1}),
@@ -50,9 +53,9 @@ STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
     ),
     "wang-figure-1": (wang.wang_figure_1, {"frames": 241}),
     "wang-table-1": (wang.wang_table_1, {"sizes": 2}),
-    "presets": (methods.presets, {"count": 2, "clips": 1}),
-    "tracker-errors": (depth_tracker.tracker_errors, {"clips": 1}),
-    "tracker-lessons": (depth_tracker.tracker_lessons, {"people": 4, "clips": 1}),
+    "presets": (method_comparison.presets, {"count": 2, "clips": 1}),
+    "tracker-errors": (tracker_studies.tracker_errors, {"clips": 1}),
+    "tracker-lessons": (tracker_studies.tracker_lessons, {"people": 4, "clips": 1}),
 }
 """Each study by its name on the command line, and sizes for a quick run."""
 

@@ -18,7 +18,7 @@ from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import over
 
 from .study import Options, Panel, Row, Series, Study, series_of
-from .takes import clips_of, recorded_people
+from .study_takes import clips_of, recorded_people
 from .traces import Trace, trace_study
 from .trial import Group, errors, mean_cm, recorded, simulated, trainer_of
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinefilter import CleanResult, clean, read_take
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import over
 from kinefilter.scenes.library import MOTIONS
 
 from .study import Cell, Options, Panel, Series, Study
-from .takes import recorded_takes
+from .study_takes import recorded_takes
 
 _SEED = 4000  # of the first simulated take, above the seeds in the database
 _PLOTTED = ("feet slide, mm a frame", "jitter, share of raw")

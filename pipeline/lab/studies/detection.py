@@ -15,7 +15,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 
 from .study import Options, Panel, Row, Series, Study, series_of
-from .takes import CLASSES, clips_of, recorded_people, recorded_takes, study_takes
+from .study_takes import CLASSES, clips_of, recorded_people, recorded_takes, study_takes
 
 _FAR, _VARYING = "over_10_cm", "varying_over_7_cm"
 _JOINTS = ("Elbow", "Wrist", "Knee", "Ankle")

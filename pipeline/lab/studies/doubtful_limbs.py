@@ -15,7 +15,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, Hold
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
-from kinefilter.pipeline.lab.hidden_limbs import middle
+from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.lab.systems import System, systems_of
@@ -26,7 +26,7 @@ from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .study import Options
-from .takes import recorded_people
+from .study_takes import recorded_people
 from .trial import correction, split, trainer_of
 
 GUESSES: dict[str, Guess | None] = {

@@ -14,7 +14,7 @@ import numpy as np
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, simulated_pair_of
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.systems import systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
@@ -22,7 +22,7 @@ from kinefilter.pipeline.workers import workers
 
 from .doubtful_limbs import hidden_limb_errors
 from .study import Options, Panel, Row, Series, Study, series_of
-from .takes import first_person, recorded_people
+from .study_takes import first_person, recorded_people
 from .traces import Trace, trace_study
 from .trial import Group, errors, mean_cm, simulated, trainer_of
 

@@ -23,7 +23,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.lab.hidden_limbs import join_cases, middle
+from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.pairs import read_pairs

@@ -25,7 +25,7 @@ from kinefilter.scenes.library import perform, random_body
 
 from .corrected import StandardizedTake, bone_errors
 from .study import Kind, Options, Panel, Row, Study, series_of
-from .takes import CLASSES, first_person, performed_by, study_takes
+from .study_takes import CLASSES, first_person, performed_by, study_takes
 
 _SHUM_1 = {
     "locomotion": (("walk", "run", "march"), 8.1, 15.27),

@@ -13,7 +13,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database.posture_database import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
 from kinefilter.pipeline.lab.scripted_database import scripted_postures
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.progress import Progress, over
 

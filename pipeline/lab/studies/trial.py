@@ -20,7 +20,7 @@ from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 
 from .study import Options
-from .takes import clips_of, first_person, performed_by, recorded_people
+from .study_takes import clips_of, first_person, performed_by, recorded_people
 
 _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them anyway
 

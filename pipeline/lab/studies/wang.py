@@ -14,7 +14,7 @@ from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
 
 from .study import Options, Panel, Row, Study, series_of
-from .takes import clips_of, first_person, performed_by, recorded_people
+from .study_takes import clips_of, first_person, performed_by, recorded_people
 
 _WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}
 """Seconds by frames."""

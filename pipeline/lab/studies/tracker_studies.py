@@ -19,7 +19,7 @@ from kinefilter.pipeline.lab.accuracy import FAR, LIMBS
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
-from kinefilter.pipeline.lab.simulate import simulated_pair
+from kinefilter.pipeline.lab.simulation import simulated_pair
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
@@ -28,7 +28,7 @@ from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import Tracker
 
 from .study import Options, Panel, Row, Series, Study, series_of
-from .takes import clips_of, first_person, recorded_people
+from .study_takes import clips_of, first_person, recorded_people
 
 _TEST_PEOPLE = ("s06", "s07", "s08")  # the error model was fitted to the others
 _CLIPS = 200  # per person, approximately

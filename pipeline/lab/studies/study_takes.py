@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.lab.simulate import simulate
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over, silent
 

@@ -27,7 +27,7 @@ from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import Reference, measure_reference
 from kinefilter.retarget import measured_body
 
-from .noise import MEMORY, NoiseReliabilityScorer
+from .noise_scorer import MEMORY, NoiseReliabilityScorer
 
 FAR_OFF = 0.10
 """Error [m] relative to the hips above which a joint is far off."""

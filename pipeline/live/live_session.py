@@ -15,9 +15,9 @@ from kinefilter.characters import InputError, skeleton_named, standard_body
 from kinefilter.pipeline.avatar import Avatar
 
 from .background import meanwhile
-from .config import AccessConfig, LiveConfig
 from .crowd import Crowd, PendingFrame, Person, Presence
 from .endpoints import Address, find_endpoints
+from .live_config import AccessConfig, LiveConfig
 from .messages import LivePose, MalformedError, SeenBody, parse_frame
 from .recorder import Recorder
 from .sinks import Broadcast, Engine, open_sink

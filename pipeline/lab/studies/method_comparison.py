@@ -16,7 +16,7 @@ from kinefilter.pipeline.workers import workers
 
 from .doubtful_limbs import hidden_limb_errors
 from .study import Options, Panel, Row, Study, series_of
-from .takes import clips_of, recorded_people
+from .study_takes import clips_of, recorded_people
 
 _METHODS = (
     *("none", "butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
