@@ -222,6 +222,9 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
         (["--hide", "arms", "--methods", "best"], "unknown method 'best'"),
         (["--hide", "arms", "--every", "0"], "--every 0"),
         (["--hide", "arms", "--context", "repetitions"], "contains no repetition"),
+        (["--hide", "arms", "--protocol", "movements"], "--protocol does not apply"),
+        (["--by", "gap"], "--by does not apply to evaluate without --hide"),
+        (["--hide", "arms", "--views", "."], "--hide does not apply to --views"),
         ([], "PAIRS are for --hide"),
     ],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -24,6 +24,14 @@ _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"
     "full-gp,local-gp,clustered-gp,learned"
 )
+_FOR_HIDING = ("gap", "guess", "context", "live", "by")
+_FOR_METHODS = ("test", "protocol", "ablation", "database", "mocap_database")
+_UNUSED = {
+    "evaluate without --hide": (*_FOR_HIDING, "sync"),
+    "--hide": (*_FOR_METHODS, "sync"),
+    "--views": (*_FOR_METHODS, *_FOR_HIDING, "hide", "presets", "set", "every"),
+}
+"""By mode, the options that have no effect in it."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +130,14 @@ class Evaluate:
         """Measure and print a table."""
         files = (*self.pairs, *self.views, *self.train, *self.test)
         check_output(self.json, *files, self.sync, self.database)
+        mode = "evaluate without --hide"
+        if self.views or self.hide:
+            mode = "--views" if self.views else "--hide"
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in _UNUSED[mode] and value != field.default:
+                option = "--" + field.name.replace("_", "-")
+                raise InputError(f"{option} does not apply to {mode}; leave it out")
         if self.views:
             figures, table = self._views()
         elif self.hide:

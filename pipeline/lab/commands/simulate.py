@@ -65,6 +65,8 @@ class Simulate:
             raise InputError(f"--sensors {self.sensors}: must be 1 to {_MOST_SENSORS}")
         if not isfinite(self.degrees):
             raise InputError(f"--degrees {self.degrees}: must be finite")
+        if self.sensors == 1 and self.degrees != Simulate.degrees:
+            raise InputError("--degrees needs --sensors 2 or more")
         check_output(self.out, self.truth, self.pairs, suffix=".csv")
         check_output(self.truth, suffix=".csv")
         check_output(self.pairs, suffix=".npz")
