@@ -5,14 +5,17 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from skeletons import every_skeleton
 
 from kinefilter import PostureDatabase
 from kinefilter.characters import KINECT_V1, InputError, Skeleton
+from kinefilter.pipeline.database import builtin_database
 
 
 def made_up(count: int = 60, skeleton: Skeleton = KINECT_V1) -> PostureDatabase:
@@ -72,6 +75,20 @@ def test_saving_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+@every_skeleton
+def test_a_stored_spacing_is_the_measured_one(
+    tmp_path: Path, skeleton: Skeleton
+) -> None:
+    shipped = builtin_database(skeleton)
+    assert "spacing" in vars(shipped)  # so that clean need not measure it
+    again = replace(shipped)
+    assert "spacing" not in vars(again)
+    assert again.spacing == pytest.approx(shipped.spacing, rel=1e-12)
+    np.savez(tmp_path / "old.npz", **parts_of(made_up()))  # a file without it
+    old = PostureDatabase.load(tmp_path / "old.npz")
+    assert old.spacing == made_up().spacing
+
+
 def parts_of(base: PostureDatabase) -> dict[str, Any]:
     return {
         "positions": base.positions,
@@ -108,6 +125,8 @@ def broken_files() -> Iterator[tuple[str, bytes]]:
         "one posture",
         npz(**{k: parts[k][:1] for k in ("positions", "rotations", "labels")}),
     )
+    yield "a negative spacing", npz(spacing=np.array(-0.05))
+    yield "many spacings", npz(spacing=np.array([0.05, 0.06]))
     yield "pickled labels", npz(labels=np.array([{}] * 4, dtype=object))
     yield "pickled positions", npz(positions=parts["positions"].astype(object))
 

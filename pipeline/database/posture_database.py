@@ -96,7 +96,10 @@ class PostureDatabase:
 
     @cached_property
     def spacing(self) -> float:
-        """Median distance [m] to the nearest other posture, RMS over the joints."""
+        """Median distance [m] to the nearest other posture, RMS over the joints.
+
+        Files store it: measuring it takes most of a second.
+        """
         weights = np.full(self.positions.shape[1], 1.0 / self.positions.shape[1])
         some = np.arange(0, len(self), -(-len(self) // _FOR_SPACING))
         nearest = [self.neighbors(self.positions[k], weights, 2)[1][1] for k in some]
@@ -114,7 +117,7 @@ class PostureDatabase:
         """Write the database as npz: arrays only."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         named = {"skeleton": self.skeleton.name, "recorded": self.recorded}
-        write_arrays(path, arrays | named)
+        write_arrays(path, arrays | named | {"spacing": self.spacing})
 
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
@@ -127,6 +130,7 @@ class PostureDatabase:
         try:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
+            spacing = float(np.asarray(arrays.get("spacing", np.nan)).item())
             places, turns, labels = (arrays[name] for name in _ARRAYS)
             shape = (len(labels), len(skeleton))
             sound = (
@@ -134,6 +138,7 @@ class PostureDatabase:
                 and shape[0] >= 2
                 and (labels.ndim, labels.dtype.kind) == (1, "U")
                 and bool(np.isfinite(places).all() and np.isfinite(turns).all())
+                and not spacing <= 0.0
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -144,7 +149,10 @@ class PostureDatabase:
                 f"{path}: not a kinefilter motion database; make one with 'kinefilter "
                 "database build'"
             )
-        return cls(places, turns, labels, skeleton, str(path), recorded)
+        database = cls(places, turns, labels, skeleton, str(path), recorded)
+        if np.isfinite(spacing):
+            vars(database)["spacing"] = spacing
+        return database
 
 
 class PostureIndex:
