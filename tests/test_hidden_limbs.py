@@ -183,9 +183,9 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
 ) -> None:
     cleaned: list[Take] = []
 
-    def raw(take: Take, *_: object) -> tuple[np.ndarray, None, float]:
+    def raw(take: Take, *_: object) -> tuple[np.ndarray, None, tuple[float, float]]:
         cleaned.append(take)
-        return take.positions, None, 0.0
+        return take.positions, None, (0.0, 0.0)
 
     monkeypatch.setattr(hidden_limbs, "_cleaned", raw)
     pairs = [replace(pair, clip=f"m01_s01_e{k:02}") for k in (2, 1, 3, 4, 5)]

@@ -151,7 +151,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([take, clip], "only one clip can be shown"),
         ([take, "--calibration", clip], "takes of several sensors"),
         ([clip, "--take", take, "--calibration", take], "takes of several sensors"),
-        ([take, take], "are the same take"),
+        ([take, take], "the takes are identical"),
     ):
         assert words in _refused(arguments, capsys), arguments
 

@@ -164,7 +164,7 @@ def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
     page.run(_PRESS, "distrust")
     _wait(lambda: "2. left-arm distrusted" in page.run(_LISTED))
     page.run(_PRESS, "undo")
-    _wait(lambda: "1. both feet lifts" in page.run(_LISTED))
+    _wait(lambda: "1. both feet lifted" in page.run(_LISTED))
     page.run(_PRESS, "redo")
     _wait(lambda: "2. left-arm distrusted" in page.run(_LISTED))
     assert not saved.exists()
