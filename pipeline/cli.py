@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import reduce
 from importlib import import_module
@@ -104,16 +105,41 @@ def _run(words: Sequence[str]) -> int:
 
 def _read(words: Sequence[str]) -> Any:
     """Return the command with its options."""
-    if words and words[0] in COMMANDS:
-        prog = f"kinefilter {words[0]}"
-        return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
-    listed = []
-    for name in COMMANDS:
-        kind = _command(name)
-        summary = (kind.__doc__ or "").split("\n")[0]
-        listed.append(Annotated[kind, subcommand(name, description=summary)])
-    union: Any = reduce(or_, listed)
-    return tyro.cli(union, prog="kinefilter", description=_DESCRIPTION, args=words)
+    with _paragraphs_joined():
+        if words and words[0] in COMMANDS:
+            prog = f"kinefilter {words[0]}"
+            return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
+        listed = []
+        for name in COMMANDS:
+            kind = _command(name)
+            summary = (kind.__doc__ or "").split("\n")[0]
+            listed.append(Annotated[kind, subcommand(name, description=summary)])
+        union: Any = reduce(or_, listed)
+        return tyro.cli(union, prog="kinefilter", description=_DESCRIPTION, args=words)
+
+
+@contextmanager
+def _paragraphs_joined() -> Iterator[None]:
+    """Join the lines of each field's docstring, so that help is wrapped only once.
+
+    tyro joins lines before it removes their indentation, which has no effect on the
+    docstrings of fields. It reads them through docstring_parser, which it depends on.
+    """
+    import docstring_parser
+
+    parse = docstring_parser.parse_from_object
+
+    def parse_joined(kind: Any) -> Any:
+        parsed = parse(kind)
+        for field in parsed.params:
+            field.description = " ".join((field.description or "").split())
+        return parsed
+
+    vars(docstring_parser)["parse_from_object"] = parse_joined
+    try:
+        yield
+    finally:
+        vars(docstring_parser)["parse_from_object"] = parse
 
 
 def _command(name: str) -> Any:
