@@ -2,7 +2,7 @@
 
     python tests/calibrate_kinect.py ../shared/data
 
-Offsets, steadiness and kinship of joints are fitted to people s02, s03 and s04 of
+Offsets, and sizes and correlations of the varying errors, are fitted to people s02, s03 and s04 of
 ui-prmd (Kinect v2 beside marker mocap). Then the virtual Kinect looks at the mocap of
 all six people, and its figures stand beside the real Kinect's: of s06, s07 and s08,
 against which the numbers of ``TrackerErrors`` were set by hand, and of s02, s03 and
@@ -309,7 +309,7 @@ def print_table(title: str, columns: dict[str, dict[str, float]]) -> None:
 
 
 def print_fits(fitted: list[Pair], held_out: list[Pair]) -> None:
-    """Print the constants of ``sensor/misplacement.py`` and how well they hold."""
+    """Print the constants of ``sensor/tracker_errors.py`` and how well they hold."""
     offsets = fit_offsets(fitted)
     size, shared = fit_moving(fitted, offsets)
     gain = fit_foreshortening(fitted[::4])
