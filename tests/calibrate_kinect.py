@@ -3,11 +3,11 @@
     python tests/calibrate_kinect.py ../shared/data
 
 Offsets, and sizes and correlations of the varying errors, are fitted to people s02, s03
-and s04 of ui-prmd (Kinect v2 beside marker mocap). Then the virtual Kinect looks at the mocap of
-all six people, and its figures stand beside the real Kinect's: of s06, s07 and s08,
-against which the numbers of ``TrackerErrors`` were set by hand, and of s02, s03 and
-s04, against which they were not. So neither group is unseen in every respect. Last it
-looks at scripted motions, and its states and bone lengths stand beside those of
+and s04 of ui-prmd (Kinect v2 beside marker mocap). Then the virtual Kinect looks at the
+mocap of all six people, and its figures stand beside the real Kinect's: of s06, s07 and
+s08, against which the numbers of ``TrackerErrors`` were set by hand, and of s02, s03
+and s04, against which they were not. So neither group is unseen in every respect. Last
+it looks at scripted motions, and its states and bone lengths stand beside those of
 recordings.
 """
 
