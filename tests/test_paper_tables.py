@@ -15,7 +15,7 @@ from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.studies import (
     chiang,
     liu,
-    methods,
+    method_comparison,
     reproduce,
     shum,
     traces,
@@ -217,7 +217,7 @@ def test_cuts_of_presets_are_those_of_known_people(
             "chiang-2017": dict(zip(where, (5.0, 2.0, 9.0, 9.0), strict=True)),
         }
 
-    monkeypatch.setattr(methods, "hidden_limb_errors", made)
+    monkeypatch.setattr(method_comparison, "hidden_limb_errors", made)
     raw, chiangs = reproduce("presets", Options()).rows
     assert raw == ("raw", 7.0, 8.0, 16.0, 10.0, 0.0, None)
     assert chiangs == ("chiang-2017", 5.0, 2.0, 9.0, 9.0, 75.0, 74.7)
