@@ -26,8 +26,7 @@ import kinefilter
 from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.cli import _command
 from kinefilter.pipeline.commands import live
-from kinefilter.pipeline.lab import bench, scripted_database, studies, teach
-from kinefilter.pipeline.lab import simulation as simulate
+from kinefilter.pipeline.lab import bench, scripted_database, simulation, studies, teach
 from kinefilter.pipeline.lab.commands.learn import DatabaseBuild, DatabaseInfo
 from kinefilter.pipeline.look.player import Player
 from kinefilter.pipeline.look.viewer import Viewer
@@ -374,8 +373,8 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
     changes: Sequence[tuple[Any, str, Any]] = (
         *((page, "run", ended(page.run)) for page in (Player, Viewer)),
         (live, "stopped_by_signals", soon),
-        (simulate, "simulated_pairs", _few(simulate.simulated_pairs)),
-        (simulate, "pairs_with_props", _few(simulate.pairs_with_props)),
+        (simulation, "simulated_pairs", _few(simulation.simulated_pairs)),
+        (simulation, "pairs_with_props", _few(simulation.pairs_with_props)),
         (scripted_database, "MOTIONS", MOTIONS[:2]),
         (teach, "_SIMULATED", 2),
         (bench, "_TAKES_PER_CORE", 1),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -330,23 +329,6 @@ def test_bench_measures_every_stage(
     assert all(value > 0 for value in stages.values())
     assert found["mj_step_ms_per_frame"] > 0
     assert found["search"]["share_of_frames_lower_energy"] >= 0.95
-
-
-@pytest.mark.parametrize("name", ["batch", "clean", "evaluate", "live", "view"])
-def test_help_wraps_a_line_only_where_the_next_word_does_not_fit(
-    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        main([name, "--help"])
-    lines = [line[2:-2] for line in capsys.readouterr().out.splitlines()]
-    wrapped = 0
-    for line, following in itertools.pairwise(lines):
-        indent, after = (len(text) - len(text.lstrip()) for text in (line, following))
-        if indent == after >= 4 and following.strip():
-            wrapped += 1
-            assert len(f"{line.rstrip()} {following.split()[0]}") > len(line), line
-    assert wrapped > 5
 
 
 def test_help_has_every_command_in_a_group_with_one_sentence(
