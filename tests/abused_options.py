@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, partial
@@ -373,8 +373,12 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
     changes: Sequence[tuple[Any, str, Any]] = (
         *((page, "run", ended(page.run)) for page in (Player, Viewer)),
         (live, "stopped_by_signals", soon),
-        (simulation, "simulated_pairs", _few(simulation.simulated_pairs)),
-        (simulation, "pairs_with_props", _few(simulation.pairs_with_props)),
+        (simulation, "simulated_pairs", partial(simulation.simulated_pairs, people=2)),
+        (
+            simulation,
+            "pairs_with_props",
+            partial(simulation.pairs_with_props, people=2),
+        ),
         (scripted_database, "MOTIONS", MOTIONS[:2]),
         (teach, "_SIMULATED", 2),
         (bench, "_TAKES_PER_CORE", 1),
@@ -387,10 +391,6 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
         stack.enter_context(mock.patch.dict(studies.STUDIES, quick, clear=True))
         stack.enter_context(mock.patch("webbrowser.open"))
         yield
-
-
-def _few(pairs: Callable[..., Any]) -> Callable[..., Any]:
-    return partial(pairs, people=2)
 
 
 @cache
