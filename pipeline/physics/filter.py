@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from kinefilter.characters import Prop, Shape, ShapeKind, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import LONG_GAP
-from kinefilter.characters.humanoid import from_mujoco
+from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
 
-from .pulled_character import PulledCharacter
+from .pulled_character import Move, PulledCharacter, check_target
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
@@ -60,8 +60,9 @@ class SceneProps:
 
     def record(self, frame: int) -> None:
         """Record the current poses as those of a frame."""
-        self.poses[frame, :, :3] = self._data.xpos[self._moving]
-        self.poses[frame, :, 3:] = self._data.xquat[self._moving]
+        if self._moving:
+            self.poses[frame, :, :3] = self._data.xpos[self._moving]
+            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -173,6 +174,7 @@ class PhysicsFilter(PulledCharacter):
         shape (T, 2). ``frames`` yields 0 to T - 1, for example for a progress bar.
         """
         count = len(time)
+        check_target(positions, rotations)
         accelerations = _accelerations(time, positions)
         result, roots = np.empty_like(rotations), np.empty((count, 3))
         types = (float, float, np.int64, np.bool_)
@@ -181,6 +183,8 @@ class PhysicsFilter(PulledCharacter):
         things = SceneProps(self.model, self.data, character, count)
         own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
+            if k % _CHUNK == 0:
+                moves = self._moves(time, positions, rotations, accelerations, k)
             target, dt = (positions[k], rotations[k]), float(time[k] - time[k - 1])
             feet = None if stands is None else stands[k]
             if k == 0 or dt > LONG_GAP:
@@ -188,22 +192,43 @@ class PhysicsFilter(PulledCharacter):
                 # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
-            else:
+            elif self.compliance is None:
+                trace.reset[k] = not self._follow(moves[k % _CHUNK], feet)
+            else:  # which changes the targets
                 gained = accelerations[k]
                 good = self.step(*target, dt, acceleration=gained, stands=feet)
                 trace.reset[k] = not good
-            result[k], roots[k] = self.rotations, self.root
-            away = self.data.site_xpos[self._sites] - self._target[0]
-            trace.tracking_error[k] = np.sqrt(np.vecdot(away, away)).sum() / len(away)
+            result[k], roots[k] = self.data.xquat[self._bodies], self.data.qpos[:3]
             trace.external_force[k] = self.external_force
-            trace.contacts[k] = own[self.data.contact.geom].any(axis=1).sum()
+            if self.data.ncon:
+                trace.contacts[k] = own[self.data.contact.geom].any(axis=1).sum()
             things.record(k)
-        result = continuous(result)
         joints = np.empty_like(positions)
         for some in chunks(count, _CHUNK):
-            turns, places = result[some], roots[some]
-            joints[some] = positions_from_rotations(turns, places, self.body)
-        return PhysicsResult(result, joints, trace, things)
+            result[some], places = from_mujoco(result[some]), from_mujoco(roots[some])
+            joints[some] = positions_from_rotations(result[some], places, self.body)
+            away = np.linalg.norm(joints[some] - positions[some], axis=-1)
+            trace.tracking_error[some] = away.mean(axis=-1)
+        return PhysicsResult(continuous(result), joints, trace, things)
+
+    def _moves(
+        self,
+        time: Array,
+        positions: Array,
+        rotations: Array,
+        accelerations: Array,
+        first: int,
+    ) -> Move:
+        """Return the moves to a chunk of targets, the first of which has index k."""
+        there = slice(first, first + _CHUNK)
+        back = np.maximum(np.arange(len(time))[there] - 1, 0)
+        dt = time[there] - time[back]
+        return self._move(
+            (to_mujoco(positions[back]), to_mujoco(rotations[back])),
+            (to_mujoco(positions[there]), to_mujoco(rotations[there])),
+            to_mujoco(accelerations[there]),
+            np.where(dt > 0.0, dt, 1.0),  # the very first is not used
+        )
 
 
 def _accelerations(time: Array, positions: Array) -> Array:

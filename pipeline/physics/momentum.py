@@ -19,37 +19,43 @@ class Momentum:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, sites: Indices, masses: Array, root: int
+        self, data: mujoco.MjData, sites: Indices, masses: Array, root: int
     ) -> None:
+        self._data, model = data, data.model
         first = int(model.body_dofadr[root])
-        self._root = slice(first, first + 3)  # these forces act on the whole body
-        self._sites, self._masses = sites, masses
-        self._pulls = np.flatnonzero(model.actuator_group == PULLS)
-        self._directions = model.actuator_gear[self._pulls, :3]
+        whole = slice(first, first + 3)  # these forces act on the whole body
+        # Views of the engine's memory: reading an attribute makes a new one.
+        self._given = data.qfrc_constraint[whole], data.qfrc_actuator[whole]
+        pulls = int(np.sum(model.actuator_group == PULLS))
+        self._pulling, self._places = data.actuator_force[:pulls], data.site_xpos
+        self._directions = model.actuator_gear[:pulls, :3].copy()
+        self._masses = np.zeros(model.nsite)
+        self._masses[sites] = masses
         self._gravity = float(masses.sum()) * model.opt.gravity
         self.start()
 
     def start(self) -> None:
         """Reset the state to a body at rest."""
         self._before, self._steps = np.zeros(3), 0
-        self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulls))
+        self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulling))
 
-    def add(self, data: mujoco.MjData) -> None:
+    def add(self) -> None:
         """Add the forces of a substep: of the floor, props, grips and pulls."""
         self._steps += 1
-        self._forces += (data.qfrc_constraint + data.qfrc_actuator)[self._root]
-        self._pulled += data.actuator_force[: len(self._pulls)]
+        for forces in self._given:
+            self._forces += forces
+        self._pulled += self._pulling
 
-    def unexplained(self, data: mujoco.MjData, pushed: Array) -> Array:
+    def unexplained(self, pushed: Array) -> Array:
         """Return the mean force [N], (3,), since the last call that only pulls explain.
 
         That is, not contacts, grips, gravity or pushes, of which the sum (3,) is given.
-        Also brings the kinematics of ``data`` up to date.
+        Also brings the kinematics of the data up to date.
         """
-        there, model = data.site_xpos[self._sites], data.model
-        mujoco.mj_kinematics(model, data)
+        model, there = self._data.model, self._masses @ self._places
+        mujoco.mj_kinematics(model, self._data)
         step = model.opt.timestep
-        momentum = self._masses @ (data.site_xpos[self._sites] - there) / step
+        momentum = (self._masses @ self._places - there) / step
         explained = (self._forces - self._pulled @ self._directions) / self._steps
         gained = (momentum - self._before) / (step * self._steps)
         self.start()

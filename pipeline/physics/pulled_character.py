@@ -8,7 +8,9 @@ gravity and the floor, so the result obeys them whatever the target does.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -48,10 +50,43 @@ def steps_in(dt: float) -> tuple[int, int]:
     return updates, max(1, int(np.ceil(dt / (updates * _SUBSTEP) - 1e-3)))
 
 
-def _check_target(positions: Array, rotations: Array) -> None:
+def check_target(positions: Array, rotations: Array) -> None:
+    """Raise an InputError if a target, or one of several, is not finite."""
     # A single NaN would spoil every later step.
     if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
         raise InputError("the target is not finite; correct the frame or skip it")
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """The way from one target to the next, in MuJoCo's world.
+
+    Several moves in a row have a leading axis T.
+    """
+
+    duration: Any
+    """Time that it takes [s]."""
+    before: tuple[Array, Array]
+    """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
+    after: tuple[Array, Array]
+    """The same at its end."""
+    forward: Array
+    """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
+    upward: Any
+    """Force [N] that carries the body and accelerates it upward."""
+    left_share: Any
+    """Share of it that the left foot bears if both feet are planted, in [0, 1]."""
+
+    def __getitem__(self, k: int) -> Move:
+        """Return one of several moves."""
+        return Move(
+            float(self.duration[k]),
+            (self.before[0][k], self.before[1][k]),
+            (self.after[0][k], self.after[1][k]),
+            self.forward[k],
+            float(self.upward[k]),
+            float(self.left_share[k]),
+        )
 
 
 class PulledCharacter:
@@ -74,6 +109,8 @@ class PulledCharacter:
         self.body, joints = body, body.skeleton.joints
         if scene is None:
             spec = build_humanoid(body, tracking)
+            # Finding the parts that do not touch each other costs 3 % and finds one.
+            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         else:
             spec = load_scene(scene, body, tracking=tracking)
         extend(spec)
@@ -81,7 +118,7 @@ class PulledCharacter:
         self.data = mujoco.MjData(model)
         self._sites = np.array([model.site(name).id for name in joints])
         self._bodies = np.array([model.body(name).id for name in joints])
-        root = self._bodies[body.skeleton.root]
+        root = int(self._bodies[body.skeleton.root])
         ends = [model.joint(joints[j]) for j in body.skeleton.segments]
         self._balls = np.array([ball.qposadr[0] for ball in ends])
         # For each body of the model the joint at its end, -1 if not the character's.
@@ -103,10 +140,11 @@ class PulledCharacter:
         self._grips = [model.actuator(f"grip:{joints[j]}").id for j in self._palms]
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         self._props = np.isin(model.body_rootid, free[free != root])
+        self._movable = bool(self._props.any())
         self._weight = float(body.mass * GRAVITY)
         masses = joint_masses(body)
         self._masses, self._shares = masses[:, None], masses / masses.sum()
-        self._momentum = Momentum(model, self._sites, masses, int(root))
+        self._momentum = Momentum(self.data, self._sites, masses, root)
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
         self._feet = np.transpose(ankles_and_toes(body.skeleton))
         self._soles = self._bodies[self._feet[:, 1]]
@@ -130,14 +168,14 @@ class PulledCharacter:
 
         With ``reset_props`` props return to where the scene has them, else they stop.
         """
-        _check_target(positions, rotations)
+        check_target(positions, rotations)
         there = self.data.qpos.copy()
         mujoco.mj_resetData(self.model, self.data)
         if not reset_props:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load, self._pressure = np.zeros(2), 0.0
+        self._load = [0.0, 0.0]
         self._momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
@@ -178,61 +216,95 @@ class PulledCharacter:
         right) bears weight; by default none does, and the pulls carry the body.
         Raises InputError if the target is not finite or no time passes.
         """
-        _check_target(positions, rotations)
+        check_target(positions, rotations)
         if not 0.0 < dt < np.inf:
             raise InputError(f"dt is {dt:g} s; give the time since the last step, > 0")
         if (gives := self.compliance) is not None:
             positions, rotations = self._give_way(gives, positions, rotations, dt)
-        after_p, after_q = to_mujoco(positions), to_mujoco(rotations)
-        before_p, before_q = self._target
-        after_q[np.vecdot(before_q, after_q) < 0.0] *= -1.0
-        velocity = (after_p - before_p) / dt
+        before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
+        velocity = (after[0] - before[0]) / dt
         if acceleration is None:
             gained = (velocity - self._velocity) / dt
         else:
             gained = to_mujoco(acceleration)
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
-        self._target, self._velocity = (after_p, after_q), velocity
-        needed, carries = self._masses * (gained + _UP * GRAVITY), not self.limp
-        if gives is not None:
-            needed, carries = needed * gives.recovered, gives.follows and carries
-        data, began = self.data, self.data.time
+        self._velocity = velocity
+        share = 1.0 if gives is None else gives.recovered
+        return self._follow(self._move(before, after, gained, dt, share), stands)
+
+    def _move(
+        self,
+        before: tuple[Array, Array],
+        after: tuple[Array, Array],
+        acceleration: Array,
+        duration: Any,
+        share: float = 1.0,
+    ) -> Move:
+        """Return the move between two targets, or several, as ``Move`` has them.
+
+        The acceleration [m/s^2] has the shape of positions; its forces are scaled by
+        ``share``.
+        """
+        seconds = np.asarray(duration)[..., None]
+        opposite = np.vecdot(before[1], after[1]) < 0.0
+        after = after[0], np.where(opposite[..., None], -after[1], after[1])
+        # In the segment's own frame, as the torques' axes are.
+        turning = rotation_vector(multiply(inverse(before[1]), after[1]))
+        turns = np.vecdot(turning[..., self._turned, :], self._turn_axes)
+        needed = self._masses * (acceleration + _UP * GRAVITY) * share
+        rows = (*needed.shape[:-2], -1)
+        moved = [(after[0] - before[0]).reshape(rows), turns]
+        forward = self._damping * (np.concatenate(moved, axis=-1) / seconds)
+        forward[..., : len(self._masses) * 3] += needed.reshape(rows)
+        upward = np.clip(needed[..., 2].sum(axis=-1), 0.0, _HARDEST_STEP * self._weight)
+        # By where the center of mass is between the feet.
+        left, right = np.moveaxis(0.5 * after[0][..., self._feet, :2].sum(axis=-2), -2, 0)
+        across, middle = left - right, self._shares @ after[0][..., :2]
+        left_share = np.vecdot(middle - right, across)
+        left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
+        left_share = np.clip(left_share, 0.0, 1.0)
+        return Move(duration, before, after, forward, upward, left_share)
+
+    def _follow(self, move: Move, stands: Flags | None) -> bool:
+        """Pull the character through a move; return False if it had to be reset."""
+        gives, model, data, dt = self.compliance, self.model, self.data, move.duration
+        began, before = data.time, (data.qpos.copy(), data.qvel.copy())
+        (before_p, before_q), (after_p, after_q) = move.before, move.after
+        self._target = move.after
+        carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
-        self._load_feet(after_p, needed.sum(axis=0), stands if carries else None, dt)
+        self._load_feet(move, stands if carries else None)
+        pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
-            data.xfrc_applied[part, :3] += force * min(left / dt, 1.0)
-        pushed = data.xfrc_applied[self._bodies, :3].sum(axis=0)
-        pushed[2] += self._pressure
+            given = force * min(left / dt, 1.0)
+            data.xfrc_applied[part, :3] += given
+            pushed += given
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
-        n, nu = after_p.size, len(self._stiffness)
-        # In the segment's own frame, as the torques' axes are.
-        turning = rotation_vector(multiply(inverse(before_q), after_q)) / dt
-        ctrl, before = data.ctrl, (data.qpos.copy(), data.qvel.copy())
-        turns = np.vecdot(turning[self._turned], self._turn_axes)
-        ctrl[n:nu] = self._damping[n:] * turns
-        forward = self._damping[:n] * velocity.ravel() + needed.ravel()
-        if self._props.any():
+        n, ctrl, quats = after_p.size, data.ctrl, data.mocap_quat
+        ctrl[n : len(move.forward)] = move.forward[n:]
+        stiffness, forward = self._stiffness[:n], move.forward[:n]
+        if self._movable:
             ctrl[self._grips] = float(self._holds() and not self.limp)
         updates, substeps = steps_in(dt)
-        self.model.opt.timestep = dt / (updates * substeps)
-        self.model.opt.disableactuator = self._disabled | (self.limp << PULLS)
+        model.opt.timestep = dt / (updates * substeps)
+        model.opt.disableactuator = self._disabled | (self.limp << PULLS)
         for k in range(updates):
             # Midway between the first and the last step of this update, as the engine
             # compares the target with the state at the beginning of a step.
             share = (k + 0.5 - 0.5 / substeps) / updates
             point = before_p + share * (after_p - before_p)
-            ctrl[:n] = self._stiffness[:n] * point.ravel() + forward
+            ctrl[:n] = stiffness * point.ravel() + forward
             # The engine normalizes these quaternions.
-            data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
+            quats[self._mocap] = before_q + share * (after_q - before_q)
             for _ in range(substeps):
-                mujoco.mj_step(self.model, data)
-                self._momentum.add(data)
-                if gives is not None and self._props.any():
-                    gives.hit_by_props(self.model, data, self.joint_of, self._props)
-        self._external = self._momentum.unexplained(data, pushed)
+                mujoco.mj_step(model, data)
+                self._momentum.add()
+                if gives is not None and self._movable:
+                    gives.hit_by_props(model, data, self.joint_of, self._props)
+        self._external = self._momentum.unexplained(pushed)
         if self._diverged(after_p, began) or self._stuck(dt):
-            mujoco.mj_resetData(self.model, data)
+            mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = before  # of the props
             self._place(after_p, after_q)
             self._momentum.start()
@@ -284,28 +356,21 @@ class PulledCharacter:
         one, other = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
         return bool(one & other)
 
-    def _load_feet(
-        self, target: Array, needed: Array, stands: Flags | None, dt: float
-    ) -> None:
+    def _load_feet(self, move: Move, stands: Flags | None) -> None:
         """Press planted feet on the floor with what moves and carries the body.
 
         Muscles act between the body and the feet, so what the pulls carry of the body
-        the feet press on the floor: only the floor carries it. The share of each foot
-        depends on where the center of mass is.
+        the feet press on the floor: only the floor carries it.
         """
-        wanted = np.zeros(2) if stands is None else stands.astype(float)
-        if wanted.all():
-            left, right = 0.5 * target[self._feet, :2].sum(axis=1)
-            across = left - right
-            share = (self._shares @ target[:, :2] - right) @ across
-            share = np.clip(share / max(across @ across, 1e-6), 0.0, 1.0)
-            wanted[:] = share, 1.0 - share
-        most = dt / _LOADING_TIME
-        self._load += np.clip(wanted - self._load, -most, most)
-        self._load[wanted == 0.0] = 0.0
-        upward = min(max(float(needed[2]), 0.0), _HARDEST_STEP * self._weight)
-        self._pressure = float(self._load.sum()) * upward
-        self.data.xfrc_applied[self._soles, 2] = -self._load * upward
+        wanted = [0.0, 0.0] if stands is None else [float(foot) for foot in stands]
+        if all(wanted):
+            wanted = [move.left_share, 1.0 - move.left_share]
+        most = move.duration / _LOADING_TIME
+        for foot, (load, goal) in enumerate(zip(self._load, wanted, strict=True)):
+            change = min(max(goal - load, -most), most)
+            self._load[foot] = load + change if goal > 0.0 else 0.0
+            pressure = self._load[foot] * move.upward
+            self.data.xfrc_applied[self._soles[foot], 2] = -pressure
 
     def _diverged(self, target: Array, before: float) -> bool:
         """Return True if the character spins out of control or lost its target."""
