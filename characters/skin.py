@@ -8,14 +8,16 @@ cell that the surface crosses, and one quad across every grid edge that it cuts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .anthropometry import Body
 from .arrays import Array, Flags, Indices, freeze
+from .rotations import unit
 from .skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ _THIGH = (
 )
 _THINNEST = 0.009  # of stature: one cell; the grid would miss a thinner thumb
 _FAR = 1.0  # m: value of the field far from all capsules
+_CLOSE = 0.1  # m beyond a capsule's skin, more than any blend reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +81,24 @@ class Skin:
 @lru_cache(maxsize=4)
 def skin_of(body: Body) -> Skin:
     """Return the skin of a body, cached by body."""
-    import trimesh  # importing it takes as long as everything else here
-
     flesh = _flesh_of(body)
     points, quads = _mesh(flesh, _CELL * body.height)
-    mesh = trimesh.Trimesh(points, _triangles(quads), process=False)
-    normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
     segments, weights = _weights(flesh, body.skeleton, points, quads)
     margins = _margins(body, points, segments, weights)
-    return Skin(points, normals, quads, segments, weights, margins)
+    return Skin(points, _normals(points, quads), quads, segments, weights, margins)
 
 
 def _triangles(quads: Indices) -> Indices:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _normals(points: Array, quads: Indices) -> Array:
+    """Return the mean normal of the quads around each point, weighted by their area."""
+    a, b, c, d = points[quads.T]
+    normals = np.zeros_like(points)
+    for corner in quads.T:
+        np.add.at(normals, corner, np.cross(c - a, d - b))
+    return unit(normals)
 
 
 def _mesh(flesh: _Flesh, cell: float) -> tuple[Array, Indices]:
@@ -100,17 +108,20 @@ def _mesh(flesh: _Flesh, cell: float) -> tuple[Array, Indices]:
     high = np.ceil((np.maximum(flesh.starts, flesh.ends) + reach) / cell).astype(int)
     # The grid counts from the origin: its plane between the legs keeps them apart.
     first, count = low.min(axis=0), high.max(axis=0) - low.min(axis=0) + 1
-    grid = (np.moveaxis(np.indices(count), 0, -1) + first) * cell
+    axes = [(f + np.arange(n)) * cell for f, n in zip(first, count, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     corners = zip((low - first).tolist(), (high - first + 1).tolist(), strict=True)
     boxes = [tuple(map(slice, *corner)) for corner in corners]
     points, quads = quads_of(flesh.field(grid, boxes))
     points = (points + first) * cell
+    close = flesh.close_to(points)
     near = 0.1 * cell * np.eye(3)
-    rise = [flesh.field(points + d) - flesh.field(points - d) for d in near]
+    rise = [flesh.field(points + d, close) - flesh.field(points - d, close) for d in near]
     slope = np.stack(rise, axis=-1) / (2.0 * (0.1 * cell))
     for _ in range(3):
         # Newton's steps of at most half a cell, even where the field is flat.
-        step = flesh.field(points) / np.maximum(np.sum(slope * slope, axis=-1), 0.1)
+        step = flesh.field(points, close)
+        step /= np.maximum(np.sum(slope * slope, axis=-1), 0.1)
         points = points - np.clip(step, -0.5 * cell, 0.5 * cell)[:, None] * slope
     return points, quads
 
@@ -233,20 +244,25 @@ class _Flesh:
         radius = start + share * (end - start)
         return away - radius, radius
 
-    def field(
-        self, points: Array, boxes: list[tuple[slice, ...]] | None = None
-    ) -> Array:
+    def close_to(self, points: Array) -> list[Indices]:
+        """Return for each capsule the indices of the points (P, 3) close to it."""
+        middles = 0.5 * (self.starts + self.ends)
+        reach = 0.5 * np.linalg.norm(self.ends - self.starts, axis=1)
+        reach += self.radii.max(axis=1) + _CLOSE
+        squares = [np.vecdot(points - m, points - m) for m in middles]
+        return [np.flatnonzero(s < r * r) for s, r in zip(squares, reach, strict=True)]
+
+    def field(self, points: Array, parts: Sequence[Any]) -> Array:
         """Return the approximate distance to the blended capsules, negative inside.
 
         Arms and legs blend with the trunk, but not with one another. Points [m] are
-        (..., 3); ``boxes`` are the parts of a grid of points near each capsule.
+        (..., 3); ``parts`` selects those close to each capsule.
         """
         limbs = np.full((_LIMBS, *points.shape[:-1]), _FAR)
-        for c, k in enumerate(self.limbs):
-            box = ... if boxes is None else boxes[c]
+        for c, (k, part) in enumerate(zip(self.limbs, parts, strict=True)):
             blend = (_LIMB if k else _TRUNK) * self.radii[c].min()
-            distances = self.distances(points[box], c)[0]
-            limbs[k][box] = _smooth_minimum(limbs[k][box], distances, blend)
+            distances = self.distances(points[part], c)[0]
+            limbs[k][part] = _smooth_minimum(limbs[k][part], distances, blend)
         whole: Array = limbs[0]
         for k in range(1, _LIMBS):
             blend = _LIMB_ON_TRUNK * self.radii[self.limbs == k].max()
@@ -257,10 +273,10 @@ class _Flesh:
 def _along_bone(points: Array, start: Array, end: Array) -> tuple[Array, Array]:
     """Return the nearest places on a bone (0 start, 1 end) and the distances [m]."""
     bone = end - start
-    share = (points - start) @ bone / max(float(bone @ bone), 1e-12)
-    share = np.clip(share, 0.0, 1.0)
-    away = points - start - share[..., None] * bone
-    return share, np.linalg.norm(away, axis=-1)
+    away = points - start
+    share = np.clip(away @ bone / max(float(bone @ bone), 1e-12), 0.0, 1.0)
+    away -= share[..., None] * bone
+    return share, np.sqrt(np.vecdot(away, away))
 
 
 def _flesh_of(body: Body) -> _Flesh:

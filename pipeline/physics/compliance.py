@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from scipy.sparse.csgraph import shortest_path
-from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import Body, Skeleton, positions_from_rotations
 from kinefilter.characters.anthropometry import joint_masses
@@ -45,6 +43,8 @@ class Compliance:
     """
 
     def __init__(self, body: Body, tracking: GameTracking) -> None:
+        from scipy.sparse.csgraph import shortest_path  # takes long to load
+
         self._body, self._tracking = body, tracking
         heights = body.rest_positions[:, 1]
         self._sways = np.clip(heights / heights[body.skeleton.girdle], 0.0, 1.0)
@@ -175,6 +175,8 @@ class Compliance:
         Not on the shortest arc, which may leave a joint's range, but on a straight line
         of rotation vectors, whose angles all stay within it.
         """
+        from scipy.spatial.transform import Rotation
+
         skeleton = self._body.skeleton
         world = slerp(one, other, share)
         line = (1.0 - share) * rotation_vector(one) + share * rotation_vector(other)

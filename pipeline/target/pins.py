@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from kinefilter.characters import Origin
 from kinefilter.characters.arrays import Array
@@ -15,6 +15,9 @@ from kinefilter.pipeline.reconstruct.foothold import middle_joint
 from kinefilter.pipeline.reconstruct.limbs import limbs
 
 from .feet import PLANTED
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 _AROUND = 0.5  # s before and after a pin in which the joint joins its own path
 
@@ -61,6 +64,8 @@ def _curve(times: Array, values: Array) -> CubicHermiteSpline:
     ends = [t for t in ends if np.abs(times - t).min() >= _AROUND - 1e-6]
     knots = dict.fromkeys(ends, np.zeros_like(values[0]))
     knots |= dict(zip(times, values, strict=True))
+    from scipy.interpolate import CubicHermiteSpline  # takes long to load
+
     at = sorted(knots)
     rows = np.array([knots[t] for t in at])
     return CubicHermiteSpline(at, rows, np.zeros_like(rows))

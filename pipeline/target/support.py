@@ -43,7 +43,7 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
 
     Time stamps [s] increase strictly; positions [m], (T, J, 3), have the floor at 0.
     """
-    residuals = np.full((len(time), 2), np.nan)
+    residuals = np.full((len(time), 2, 3), np.nan)
     whole = np.asarray(np.isfinite(positions).all(axis=(1, 2)))
     for part in parts_of(time):
         for run in runs(whole[part], 3):
@@ -55,8 +55,9 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
                     edges = cones[k, down[k]].reshape(-1, 6).T
                     if edges.size:
                         needed = needed - edges @ nnls(edges, needed)[0]
-                    inner[some][k] = np.linalg.norm(needed.reshape(2, 3), axis=1)
-    return residuals[:, 0], residuals[:, 1]
+                    inner[some][k] = needed.reshape(2, 3)
+    force, moment = np.linalg.norm(residuals, axis=2).T
+    return force, moment
 
 
 def required_wrench(time: Array, positions: Array, body: Body) -> tuple[Array, Array]:
