@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
@@ -23,9 +23,9 @@ _FIRMEST = 1e3  # weight of a fully trusted joint, against the pull of one bone
 
 
 def measurement_confidence(
-    reliability: Array, geometry: Array, missing: Flags, coverage: float
+    reliability: Array, geometry: Array, missing: Flags, coverage: Any
 ) -> Array:
-    """Return how closely each joint follows its measurement, in [0, 1], shape (J,).
+    """Return how closely each joint follows its measurement, in [0, 1], shape (..., J).
 
     Reliable joints stay where they are. Unreliable ones follow the prior to the extent
     that it knows the posture; where it does not, they stay near the measurement to the
@@ -58,20 +58,19 @@ class Blend:
             self._laplacian[[j, p], [p, j]] -= 1.0
 
     def __call__(self, prior: Array, measured: Array, confidence: Array) -> Array:
-        """Return the blended posture [m], shape (J, 3).
+        """Return the blended postures [m], shape (..., J, 3).
 
-        ``measured`` may be NaN where its share, ``confidence`` in [0, 1] (J,), is 0.
+        ``measured`` may be NaN where its share, ``confidence`` in [0, 1] (..., J), is 0.
         """
         if confidence.min() >= 1.0:
             return measured.copy()
-        residual = np.where(confidence[:, None] > 0.0, measured - prior, 0.0)
+        residual = np.where(confidence[..., None] > 0.0, measured - prior, 0.0)
         weights = confidence / np.maximum(1.0 - confidence, 1.0 / _FIRMEST)
-        matrix = self._laplacian.copy()
-        matrix.flat[:: len(confidence) + 1] += weights + 1e-6
-        # LAPACK directly: scipy's wrapper takes longer than so small a solve.
-        blended = prior + dposv(matrix, weights[:, None] * residual)[1]
+        own = np.eye(confidence.shape[-1]) * (weights + 1e-6)[..., None]
+        pulled = weights[..., None] * residual
+        blended = prior + np.linalg.solve(self._laplacian + own, pulled)
         # Fully trusted joints stay exactly where they were measured.
-        return np.where(confidence[:, None] >= 1.0, measured, blended)
+        return np.where(confidence[..., None] >= 1.0, measured, blended)
 
 
 class Hold(Corrector):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -41,10 +41,20 @@ class Observation:
 
     def frame(self, k: int) -> Observation:
         """Return one frame of a take."""
-        scores = self.reliability[k], self.geometry[k]
-        sensor = None if self.sensor is None else self.sensor[k]
-        time = float(self.time[k])
-        return Observation(self.positions[k], *scores, time, self.lengths, sensor)
+        return replace(self.frames(k), time=float(self.time[k]))
+
+    def frames(self, some: Any) -> Observation:
+        """Return some frames of a take; any index of its frames selects them."""
+        scores = self.reliability[some], self.geometry[some]
+        sensor = None if self.sensor is None else self.sensor[some]
+        context = self.time[some], self.lengths, sensor
+        return Observation(self.positions[some], *scores, *context)
+
+    def as_take(self) -> Observation:
+        """Return a frame as a take of one frame."""
+        scores, time = (self.reliability[None], self.geometry[None]), np.array([self.time])
+        sensor = None if self.sensor is None else self.sensor[None]
+        return Observation(self.positions[None], *scores, time, self.lengths, sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +74,13 @@ class Correction:
     coverage: Any
     """How well the method knows the posture, in [0, 1]: a number, or for a take an
     array of shape (T,); NaN if the method cannot say."""
+
+
+    def frame(self, k: int) -> Correction:
+        """Return one frame of a take."""
+        rotations = None if self.rotations is None else self.rotations[k]
+        coverage = float(self.coverage[k])
+        return Correction(self.positions[k], rotations, self.confidence[k], coverage)
 
 
 class Corrector:
@@ -95,6 +112,14 @@ class Corrector:
                 if arrays[name] is not None:
                     arrays[name][k] = value
         return Correction(**arrays)
+
+
+def joined(parts: Sequence[Correction]) -> Correction:
+    """Return consecutive parts of a take as one; with rotations, all of them have."""
+    if len(parts) == 1:
+        return parts[0]
+    arrays: Any = zip(*(vars(part).values() for part in parts), strict=True)
+    return Correction(*(None if a[0] is None else np.concatenate(a) for a in arrays))
 
 
 def measured_only(positions: Array) -> Correction:

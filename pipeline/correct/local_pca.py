@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import islice
 from typing import Literal
 
 import numpy as np
 
 from kinefilter.characters import InputError, standard_body
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array, Indices, chunks
 from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
 from .hold import Blend, measurement_confidence
-from .interface import CORRECTED_CONFIDENCE, Correction, Corrector, Observation
+from .interface import (
+    CORRECTED_CONFIDENCE,
+    Correction,
+    Corrector,
+    Frames,
+    Observation,
+    joined,
+)
 from .posture_space import (
     PAPER_WEIGHTS,
     EnergyWeights,
@@ -32,6 +41,7 @@ _NEIGHBORS = 5
 few joints are reliable: behind a box or a desk, 10 remove 38 % of the error of
 simulated takes, 7 remove 40 % and 5 remove 41 %."""
 _AS_MEASURED = 0.001  # m: a joint that moves less still counts as measured
+_CHUNK = 4096  # frames at a time, to bound the memory
 _COVERAGE_MEMORY = 0.8  # weight of the last frame's coverage, against sudden changes
 
 
@@ -86,25 +96,51 @@ class LocalPCA(Corrector):
         """Reset the state for a new motion."""
         self._generator = np.random.default_rng(self.seed)
         self._last: list[Array] = []
+        self._nearest: Indices | None = None
         self._coverage: float | None = None
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        measured, geometry = observation.positions, observation.geometry
-        missing = np.isnan(measured[:, 0])
-        reliability = np.where(missing, 0.0, observation.reliability)
-        prior, nearest = self.synthesize(measured, reliability)
+        return self._correct(observation.as_take(), range(1)).frame(0)
+
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:
+        """Correct a whole take; only the search goes from frame to frame."""
+        self.start()
+        count = len(take.positions)
+        steps = iter(range(count) if frames is None else frames)
+        parts = []
+        for some in chunks(count, _CHUNK):
+            part = take.frames(some)
+            parts.append(self._correct(part, islice(steps, len(part.positions))))
+        return joined(parts)
+
+    def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
+        """Correct the next frames of a take."""
+        measured, missing = take.positions, np.isnan(take.positions[..., 0])
+        reliability = np.where(missing, 0.0, take.reliability)
+        priors, nearest = self._synthesize_each(measured, reliability, frames)
         coverage = self._cover(measured, reliability, nearest)
-        confidence = measurement_confidence(reliability, geometry, missing, coverage)
-        posture = self._blend(prior, measured, confidence)
+        confidence = measurement_confidence(
+            reliability, take.geometry, missing, coverage[:, None]
+        )
+        postures = self._blend(priors, measured, confidence)
         if self._spaces is not None:
-            shift = self._spaces.shift(posture)
-            posture = posture + shift
-            moved = np.vecdot(shift, shift) > _AS_MEASURED**2
+            shifts = np.array([self._spaces.shift(posture) for posture in postures])
+            postures = postures + shifts
+            moved = np.vecdot(shifts, shifts) > _AS_MEASURED**2
             most = np.where(moved, CORRECTED_CONFIDENCE, 1.0)
             confidence = np.minimum(confidence, most)
-        rotations = self.orientation(prior, nearest, reliability)
-        return Correction(posture, rotations, confidence, coverage)
+        rotations = self.orientation(priors, nearest, reliability)
+        return Correction(postures, rotations, confidence, coverage)
+
+    def _synthesize_each(
+        self, measured: Array, reliability: Array, frames: Iterable[int]
+    ) -> tuple[Array, Indices]:
+        """Return what ``synthesize`` finds for each of the next frames."""
+        rows = zip(measured, reliability, frames, strict=True)
+        found = [self.synthesize(posture, weights) for posture, weights, _ in rows]
+        priors, nearest = zip(*found, strict=True)
+        return np.array(priors), np.array(nearest)
 
     def synthesize(self, measured: Array, reliability: Array) -> tuple[Array, Indices]:
         """Return the natural posture of least energy [m], (J, 3), and its neighbors.
@@ -135,39 +171,44 @@ class LocalPCA(Corrector):
         The last posture is part of the query with a small weight, so that unreliable
         joints do not wander through the database from frame to frame.
         """
-        if not self._last:
-            return self.database.neighbors(measured, reliability, self.neighbors)[0]
-        last = self._last[-1].reshape(-1, 3)
-        seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
-        weights = reliability + self.memory
-        total = reliability[:, None] * seen + self.memory * last
-        query = total / np.maximum(weights, 1e-12)[:, None]
-        return self.database.neighbors(query, weights, self.neighbors)[0]
+        query, weights = measured, reliability
+        if self._last:
+            last = self._last[-1].reshape(-1, 3)
+            seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
+            weights = reliability + self.memory
+            total = reliability[:, None] * seen + self.memory * last
+            query = total / np.maximum(weights, 1e-12)[:, None]
+        guess, count = self._nearest, self.neighbors
+        self._nearest = self.database.neighbors(query, weights, count, guess)[0]
+        return self._nearest
 
-    def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> float:
-        """Return how well the database knows the posture, in [0, 1].
+    def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> Array:
+        """Return how well the database knows each of the next postures, in [0, 1].
 
         It is 1 up to a distance (root mean square over the reliable joints) that the
         spacing of the database and the sensor's error explain, and 0 from twice that.
         """
-        total = float(reliability.sum())
-        distance = 0.0
-        if total > 1e-9:
-            seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
-            apart = self.database.positions[nearest] - seen
-            squares = np.vecdot(apart, apart) @ reliability
-            distance = float(np.sqrt(squares.min() / total))
+        seen = np.where(reliability[..., None] > 0.0, measured, 0.0)
+        apart = self.database.positions[nearest] - seen[:, None]
+        squares = (np.vecdot(apart, apart) @ reliability[..., None])[..., 0].min(axis=1)
+        distance = np.sqrt(squares / np.maximum(reliability.sum(axis=1), 1e-9))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
-        now = float(np.clip(2.0 - distance / near, 0.0, 1.0))
-        before = now if self._coverage is None else self._coverage
-        self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
-        return self._coverage
+        coverage = np.clip(2.0 - distance / near, 0.0, 1.0)
+        for k, now in enumerate(coverage.tolist()):
+            before = now if self._coverage is None else self._coverage
+            self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
+            coverage[k] = self._coverage
+        return coverage
 
-    def orientation(self, posture: Array, nearest: Indices, weights: Array) -> Array:
-        """Return the neighbors' rotations, weighted by inverse difference (VII.B)."""
-        apart = self.database.positions[nearest] - posture
-        shares = 1.0 / (np.vecdot(apart, apart) @ weights + 1e-4)
+    def orientation(self, postures: Array, nearest: Indices, weights: Array) -> Array:
+        """Return the neighbors' rotations, weighted by inverse difference (VII.B).
+
+        Postures [m] are (T, J, 3), neighbors (T, K), weights (T, J), rotations, wxyz,
+        (T, J, 4).
+        """
+        apart = self.database.positions[nearest] - postures[:, None]
+        shares = 1.0 / (np.vecdot(apart, apart) @ weights[..., None] + 1e-4)
         rotations = self.database.rotations[nearest]
-        opposite = np.vecdot(rotations, rotations[0]) < 0.0
-        signed = np.where(opposite, -shares[:, None], shares[:, None])
-        return normalize((signed[..., None] * rotations).sum(axis=0))
+        opposite = np.vecdot(rotations, rotations[:, :1]) < 0.0
+        signed = np.where(opposite, -shares, shares)
+        return normalize((signed[..., None] * rotations).sum(axis=1))

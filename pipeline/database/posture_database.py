@@ -84,15 +84,16 @@ class PostureDatabase:
         return PostureIndex(self.positions)
 
     def neighbors(
-        self, posture: Array, weights: Array, count: int
+        self, posture: Array, weights: Array, count: int, guess: Indices | None = None
     ) -> tuple[Indices, Array]:
         """Return indices and distances D of the nearest postures, nearest first.
 
         D(p, x) = sum of w_j |p_j - x_j|^2 [m^2] (Shum 2013, eq. 9). The posture,
         normalized joint positions [m] (J, 3), is finite where the weight is not 0;
-        the weights (J,) are the reliability of the joints.
+        the weights (J,) are the reliability of the joints. A ``guess``, such as the
+        result for the frame before, makes the search faster.
         """
-        return self._index.nearest(posture, weights, min(count, len(self)))
+        return self._index.nearest(posture, weights, min(count, len(self)), guess)
 
     @cached_property
     def spacing(self) -> float:
@@ -181,7 +182,7 @@ class PostureIndex:
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)
 
     def nearest(
-        self, query: Array, weights: Array, count: int
+        self, query: Array, weights: Array, count: int, guess: Indices | None = None
     ) -> tuple[Indices, Array]:
         """Return the same as ``PostureDatabase.neighbors``, for up to N postures."""
         if not weights.any():
@@ -189,20 +190,30 @@ class PostureIndex:
         seen = np.where(weights[:, None] > 0.0, query, 0.0)
         farthest = (np.abs(seen) + self._reach.reshape(seen.shape)) ** 2
         slack = _ROUNDING * float(weights @ farthest.sum(axis=1))  # rounding error of D
-        rows = self._nearby(seen, weights, count, slack)
+        rows = self._nearby(seen, weights, count, slack, guess)
         near = np.sort(self._order[rows])
         away = np.where(weights[:, None] > 0.0, self._positions[near] - query, 0.0)
         exact = np.vecdot(away, away) @ weights
         order = np.argsort(exact, kind="stable")[:count]
         return near[order], exact[order]
 
-    def _nearby(self, seen: Array, weights: Array, count: int, slack: float) -> Indices:
+    def _nearby(
+        self,
+        seen: Array,
+        weights: Array,
+        count: int,
+        slack: float,
+        guess: Indices | None,
+    ) -> Indices:
         """Return rows that include the nearest ones in spite of rounding errors."""
         weighted = seen * weights[:, None]
         query = np.concatenate([weights, weighted.ravel()]).astype(np.float32)
         if len(self._middle) == 1:
-            away = self._products @ query
-            best = float(np.partition(away, count - 1)[count - 1])
+            away = self._products @ query  # here, rows are in the original order
+            if guess is None or len(guess) < count:
+                best = float(np.partition(away, count - 1)[count - 1])
+            else:
+                best = float(away[guess].max())  # no nearer than the one looked for
             return np.flatnonzero(away <= best + slack)
         constant = float(np.vdot(weighted, seen))
         # Lower bounds of D, from the distance of the posture to each box.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from kinefilter.characters.arrays import Array
@@ -52,15 +54,15 @@ class LeastEnergy(LocalPCA):
             seed=seed,
         )
 
-    def step(self, observation: Observation) -> Correction:
-        """Synthesize the next frame."""
-        weights = self._weights(observation)
-        posture, nearest = self.synthesize(observation.positions, weights)
-        rotations = self.orientation(posture, nearest, weights)
-        return Correction(posture, rotations, 0.0 * weights, float("nan"))
+    def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
+        weights = self._weights(take)
+        postures, nearest = self._synthesize_each(take.positions, weights, frames)
+        rotations = self.orientation(postures, nearest, weights)
+        unknown = np.full(len(postures), np.nan)
+        return Correction(postures, rotations, 0.0 * weights, unknown)
 
     def _weights(self, observation: Observation) -> Array:
-        """Return each joint's weight, 0 where it is missing, shape (J,)."""
+        """Return each joint's weight, 0 where it is missing, shape (..., J)."""
         return observation.reliability * _present(observation)
 
 
@@ -93,5 +95,5 @@ class Nearest(Corrector):
 
 
 def _present(observation: Observation) -> Array:
-    """Return 1 for each joint that was measured, otherwise 0, shape (J,)."""
-    return np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
+    """Return 1 for each joint that was measured, otherwise 0, shape (..., J)."""
+    return np.where(np.isnan(observation.positions[..., 0]), 0.0, 1.0)
