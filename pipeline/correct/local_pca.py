@@ -97,6 +97,7 @@ class LocalPCA(Corrector):
         self._generator = np.random.default_rng(self.seed)
         self._last: list[Array] = []
         self._nearest: Indices | None = None
+        self._spanned: frozenset[int] | None = None
         self._coverage: float | None = None
 
     def step(self, observation: Observation) -> Correction:
@@ -148,14 +149,19 @@ class LocalPCA(Corrector):
         ``measured`` positions [m] (J, 3) may be NaN where the reliability (J,) is 0.
         """
         nearest = self._neighbors(measured, reliability)
-        postures = self.database.flat[nearest].astype(float)
-        space, steady = PostureSpace(postures, self.dimensions), None
+        steady = None
         if self._last:
             steady = 2.0 * self._last[1] - self._last[0]  # eq. 14
-        self.energy = PostureEnergy(
-            space, self._body, measured, reliability, steady, self.weights
-        )
-        start = space.project(self._last[-1] if self._last else postures[0])
+        observed, spanned = (measured, reliability, steady), frozenset(nearest.tolist())
+        if spanned == self._spanned:  # as in four of ten frames
+            self.energy.aim(*observed)
+        else:
+            postures = self.database.flat[nearest].astype(float)
+            space, self._spanned = PostureSpace(postures, self.dimensions), spanned
+            self.energy = PostureEnergy(space, self._body, *observed, self.weights)
+        space = self.energy.space
+        last = self._last[-1] if self._last else self.database.flat[nearest[0]]
+        start = space.project(last)
         if self.search == "solver":
             latent = solve(self.energy, start)
         else:

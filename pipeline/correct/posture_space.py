@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dsyevd
 
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
@@ -59,7 +59,8 @@ class PostureSpace:
         centered = postures - self.mean
         # The Gram matrix has only as many rows as there are postures.
         gram = centered @ centered.T
-        values, vectors = np.linalg.eigh(gram)
+        # LAPACK directly: numpy's checks take longer than so small a problem.
+        values, vectors, _ = dsyevd(gram)
         least = 1e-12 * max(float(values[-1]), 1e-12)
         solid = int(np.count_nonzero(values > least))
         kept = slice(None, -min(dimensions, count - 1, solid) - 1, -1)
@@ -100,32 +101,45 @@ class PostureEnergy:
         steady: Array | None,
         weights: EnergyWeights = PAPER_WEIGHTS,
     ) -> None:
-        self.space, w, joints = space, weights, len(reliability)
-        basis, axes = space.basis, space.basis.shape[1]
-        trust = np.repeat(reliability, 3)
-        offset = np.where(trust > 0.0, measured.ravel(), 0.0) - space.mean
-        pulled = (w.control * trust)[:, None] * basis  # eq. 10
-        self._hessian = pulled.T @ basis
-        self._fixed = offset @ pulled
-        self.constant = float(w.control * trust @ offset**2)
-        """Part of the energy that is constant in the space; calls leave it out."""
-        diagonal = w.style / joints
-        if steady is not None:
-            diagonal += w.continuity / joints
-            self._fixed += w.continuity / joints * space.project(steady)
-            change = steady - space.mean
-            self.constant += w.continuity / joints * float(change @ change)
-        self._hessian.flat[:: axes + 1] += diagonal
-        self._to_neighbors = w.style / joints * space.latent  # eq. 11
-        self._from_neighbors = w.style / joints * space.squares
+        self.space, self._weights = space, weights
+        axes, joints = space.basis.shape[1], len(body.lengths)
+        self._style = weights.style / joints
+        self._to_neighbors = self._style * space.latent  # eq. 11
+        self._from_neighbors = self._style * space.squares
         ends, starts = body.skeleton.segments, body.skeleton.segment_parents
         points = space.mean.reshape(-1, 3)
         self._bones = points[ends] - points[starts]
-        points = basis.reshape(joints, 3, axes)
+        points = space.basis.reshape(joints, 3, axes)
         self._bone_basis = points[ends] - points[starts]
         self._flat_basis = self._bone_basis.reshape(-1, axes).T
         self._lengths = body.lengths[ends]
-        self._stiff = w.kinematics / len(ends)  # eq. 12
+        self._stiff = weights.kinematics / len(ends)  # eq. 12
+        self.aim(measured, reliability, steady)
+
+    def aim(self, measured: Array, reliability: Array, steady: Array | None) -> None:
+        """Change the measurement and the steady posture, in the same space."""
+        space, w, joints = self.space, self._weights, len(reliability)
+        trust = w.control * np.repeat(reliability, 3)  # eq. 10
+        self._offset = np.where(trust > 0.0, measured.ravel(), 0.0) - space.mean
+        self._trust, self._steady = trust, steady
+        pulled = trust[:, None] * space.basis
+        self._hessian = pulled.T @ space.basis
+        self._fixed = self._offset @ pulled
+        diagonal = self._style
+        if steady is not None:
+            diagonal += w.continuity / joints
+            self._fixed += w.continuity / joints * space.project(steady)
+        self._hessian.flat[:: len(self._hessian) + 1] += diagonal
+
+    @property
+    def constant(self) -> float:
+        """Part of the energy that is constant in the space; calls leave it out."""
+        constant = float(self._trust @ self._offset**2)
+        if self._steady is not None:
+            change = self._steady - self.space.mean
+            share = self._weights.continuity / (len(self._trust) // 3)
+            constant += share * float(change @ change)
+        return constant
 
     def __call__(self, points: Array) -> tuple[Array, Array, Array]:
         """Return energies (N,) of points (N, d), bones (N, S, 3) and lengths (N, S)."""
@@ -150,7 +164,6 @@ class PostureEnergy:
         curvature = self._hessian + self._stiff * (slope.T @ slope)
         wanted = slope @ latent - (lengths - self._lengths)
         pull = self._fixed + self._stiff * (wanted @ slope)
-        # LAPACK directly: scipy's checks take longer than so small a solve.
         return np.asarray(dposv(curvature, (pull + self._to_neighbors).T)[1].T)
 
 
