@@ -57,7 +57,7 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Array:
 
 def unit(v: Array) -> Array:
     """Return vectors (..., 3) scaled to unit length; zero vectors stay zero."""
-    lengths = np.linalg.norm(v, axis=-1, keepdims=True)
+    lengths = np.sqrt(np.vecdot(v, v))[..., None]
     return np.asarray(v / np.maximum(lengths, 1e-9))
 
 

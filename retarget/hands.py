@@ -17,11 +17,11 @@ class Hands:
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        self._parents = skeleton.parents
-        arms = zip(skeleton.sides("Elbow"), skeleton.sides("Wrist"), strict=True)
-        self._arms = [
-            (elbow, wrist, skeleton.descendants(wrist)) for elbow, wrist in arms
-        ]
+        self._elbows, self._wrists = skeleton.sides("Elbow"), skeleton.sides("Wrist")
+        hands = [skeleton.descendants(wrist) for wrist in self._wrists]
+        # The joints of both hands at once, those that move others first.
+        self._joints = np.transpose(hands)
+        self._parents = np.array(skeleton.parents)[self._joints]
 
     def carried(
         self, before: Array, after: Array, confidence: Array, body: Body
@@ -33,33 +33,37 @@ class Hands:
         A hand stays in place as far as it and its forearm were measured.
         """
         carried = after.copy()
-        for elbow, wrist, hand in self._arms:
-            turn = between(
-                before[..., wrist, :] - before[..., elbow, :],
-                after[..., wrist, :] - after[..., elbow, :],
-            )
-            forearm = confidence[..., [elbow, wrist]].min(axis=-1)
-            for j in hand:
-                p = self._parents[j]
-                share = np.minimum(confidence[..., j], forearm)[..., None]
-                follows = rotate(turn, unit(before[..., j, :] - before[..., p, :]))
-                stays = unit(after[..., j, :] - after[..., p, :])
-                bone = unit(share * stays + (1.0 - share) * follows)
-                carried[..., j, :] = carried[..., p, :] + body.lengths[j] * bone
+        turn = between(self._forearms(before), self._forearms(after))
+        forearm = np.minimum(
+            confidence[..., self._elbows], confidence[..., self._wrists]
+        )
+        for joints, parents in zip(self._joints, self._parents, strict=True):
+            share = np.minimum(confidence[..., joints], forearm)[..., None]
+            bones = before[..., joints, :] - before[..., parents, :]
+            follows = rotate(turn, unit(bones))
+            stays = unit(after[..., joints, :] - after[..., parents, :])
+            bones = unit(share * stays + (1.0 - share) * follows)
+            bones *= body.lengths[joints][:, None]
+            carried[..., joints, :] = carried[..., parents, :] + bones
         return carried
+
+    def _forearms(self, positions: Array) -> Array:
+        """Return the forearms' vectors [m], left and right, shape (..., 2, 3)."""
+        return positions[..., self._wrists, :] - positions[..., self._elbows, :]
 
     def straightened(self, positions: Array, share: Array, body: Body) -> Array:
         """Return postures (..., J, 3) with hands turned toward their forearms' axes.
 
         ``share`` (..., J) in [0, 1] is 1 for straight hands and 0 for no change.
         """
-        straight = positions.copy()
-        for elbow, wrist, hand in self._arms:
-            along = unit(positions[..., wrist, :] - positions[..., elbow, :])
-            for j in hand:
-                p, part = self._parents[j], share[..., j, None]
-                bone = unit(positions[..., j, :] - positions[..., p, :])
-                bone = body.lengths[j] * unit(part * along + (1.0 - part) * bone)
-                turned = straight[..., p, :] + bone
-                straight[..., j, :] = np.where(part > 0.0, turned, positions[..., j, :])
+        straight, along = positions.copy(), unit(self._forearms(positions))
+        for joints, parents in zip(self._joints, self._parents, strict=True):
+            part = share[..., joints, None]
+            bones = unit(positions[..., joints, :] - positions[..., parents, :])
+            bones = unit(part * along + (1.0 - part) * bones)
+            bones *= body.lengths[joints][:, None]
+            turned = straight[..., parents, :] + bones
+            straight[..., joints, :] = np.where(
+                part > 0.0, turned, positions[..., joints, :]
+            )
         return straight
