@@ -41,12 +41,15 @@ class StuckLimbs:
 
         Pose and target are joint positions [m], (J, 3), and rotations, wxyz, (J, 4).
         """
+        alike = np.vecdot(pose[1][self._ends], target[1][self._ends])
+        turned = np.abs(alike) < np.cos(0.5 * _TURNED)
+        if not turned.any():  # and so none points away either
+            self._lasted[:] = 0.0
+            return False
         own, wanted = (
             points[self._ends] - points[self._starts] for points, _ in (pose, target)
         )
-        alike = np.vecdot(pose[1][self._ends], target[1][self._ends])
         away = np.vecdot(own, wanted) < np.cos(_AWAY) * self._squared
-        turned = np.abs(alike) < np.cos(0.5 * _TURNED)
-        stuck = np.array([away.any(), turned.any()])
+        stuck = np.array([away.any(), True])
         self._lasted = np.where(stuck, self._lasted + elapsed, 0.0)
         return bool((self._lasted > _PATIENCE).any())
