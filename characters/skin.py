@@ -1,22 +1,21 @@
-"""The skin of a body: one mesh around its capsules, and the weights of its segments.
+"""The skin of a body: one mesh around its flesh, and the weights of its segments.
 
-Every segment is a capsule that tapers from joint to joint, as thick as the humanoid's;
-where two meet, the mesh blends smoothly from one to the other. The mesh is a surface
-net (Gibson 1998, Constrained Elastic Surface Nets, MICCAI): one point in every grid
-cell that the surface crosses, and one quad across every grid edge that it cuts.
+The mesh is a surface net (Gibson 1998, Constrained Elastic Surface Nets, MICCAI): one
+point in every grid cell that the surface of the flesh crosses, and one quad across
+every grid edge that it cuts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .anthropometry import Body
 from .arrays import Array, Flags, Indices, freeze
+from .flesh import Flesh, along_bone, flesh_of, girth_of
 from .rotations import unit
 from .skeleton import Skeleton
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 INFLUENCES = 4
 """Largest number of segments that move one point: what every engine supports."""
 
-_CELL = 1.0 / 112.0  # of stature: 16 mm, small enough to give thumbs a shape
+_CELL = 1.0 / 110.0  # of stature: 16 mm, small enough to give thumbs a shape
 _SHARING = 0.6  # of the radius: depth over which two segments share points. A guess.
 _AVERAGINGS = 6  # spread the change of weights over some cells, also between the legs
 _LEAST = 0.02  # smaller weights become 0
@@ -37,18 +36,14 @@ _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 _EDGES = np.array(
     [(a, a + step) for a in range(8) for step in (1, 2, 4) if not a & step]
 )
-
-_LIMBS = 5  # the trunk, two arms, two legs
-# Size of the blend in the crease between two capsules, as a share of the thinner
-# radius: along the trunk, along a limb, and where they meet. Guesses by eye.
-_TRUNK, _LIMB, _LIMB_ON_TRUNK = 0.5, 0.2, 0.6
-_NECK = 0.62  # of the head's radius. A guess by eye.
-_THIGH = (
-    0.42  # of the distance between the hips: largest radius, so that legs stay apart
+_FACES = np.array(
+    [
+        [k for k in range(8) if bool(k & axis) == far]
+        for axis in (1, 2, 4)
+        for far in (0, 1)
+    ]
 )
-_THINNEST = 0.009  # of stature: one cell; the grid would miss a thinner thumb
-_FAR = 1.0  # m: value of the field far from all capsules
-_CLOSE = 0.1  # m beyond a capsule's skin, more than any blend reaches
+_JUST_INSIDE = 1e-6  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +76,9 @@ class Skin:
 @lru_cache(maxsize=4)
 def skin_of(body: Body) -> Skin:
     """Return the skin of a body, cached by body."""
-    flesh = _flesh_of(body)
-    points, quads = _mesh(flesh, _CELL * body.height)
+    cell = _CELL * body.height * np.sqrt(max(girth_of(body), 1.0))
+    flesh = flesh_of(body, 1.02 * cell)  # thinner ones would fall through the grid
+    points, quads = _mesh(flesh, cell)
     segments, weights = _weights(flesh, body.skeleton, points, quads)
     margins = _margins(body, points, segments, weights)
     return Skin(points, _normals(points, quads), quads, segments, weights, margins)
@@ -101,9 +97,9 @@ def _normals(points: Array, quads: Indices) -> Array:
     return unit(normals)
 
 
-def _mesh(flesh: _Flesh, cell: float) -> tuple[Array, Indices]:
+def _mesh(flesh: Flesh, cell: float) -> tuple[Array, Indices]:
     """Return points on the surface [m] and quads between them."""
-    reach = flesh.radii.max(axis=1)[:, None] + 3.0 * cell
+    reach = flesh.reaches + 3.0 * cell
     low = np.floor((np.minimum(flesh.starts, flesh.ends) - reach) / cell).astype(int)
     high = np.ceil((np.maximum(flesh.starts, flesh.ends) + reach) / cell).astype(int)
     # The grid counts from the origin: its plane between the legs keeps them apart.
@@ -116,7 +112,9 @@ def _mesh(flesh: _Flesh, cell: float) -> tuple[Array, Indices]:
     points = (points + first) * cell
     close = flesh.close_to(points)
     near = 0.1 * cell * np.eye(3)
-    rise = [flesh.field(points + d, close) - flesh.field(points - d, close) for d in near]
+    rise = [
+        flesh.field(points + d, close) - flesh.field(points - d, close) for d in near
+    ]
     slope = np.stack(rise, axis=-1) / (2.0 * (0.1 * cell))
     for _ in range(3):
         # Newton's steps of at most half a cell, even where the field is flat.
@@ -127,7 +125,7 @@ def _mesh(flesh: _Flesh, cell: float) -> tuple[Array, Indices]:
 
 
 def _weights(
-    flesh: _Flesh, skeleton: Skeleton, points: Array, quads: Indices
+    flesh: Flesh, skeleton: Skeleton, points: Array, quads: Indices
 ) -> tuple[Indices, Array]:
     """Return the segments that move each point, and their weights, shape (P, 4)."""
     distances = np.full((len(points), len(skeleton)), np.inf)
@@ -176,7 +174,7 @@ def _margins(body: Body, points: Array, segments: Indices, weights: Array) -> Ar
     for j, p in enumerate(skeleton.parents):
         own = points[((segments == j) & (weights > 0.0)).any(axis=1)]
         start = rest[j] if p < 0 else rest[p]
-        margins[j] = _along_bone(own, start, rest[j])[1].max(initial=0.0)
+        margins[j] = along_bone(own, start, rest[j])[1].max(initial=0.0)
     return margins
 
 
@@ -187,17 +185,40 @@ def quads_of(values: Array) -> tuple[Array, Indices]:
     Points are in grid units; quads are indices of points, counterclockwise if seen from
     outside.
     """
+    values, cells = _unambiguous(values)
     inside = values < 0.0
-    corners = [
-        inside[x : x - 1 or None, y : y - 1 or None, z : z - 1 or None]
-        for x, y, z in _CORNERS
-    ]
-    count = np.sum(corners, axis=0)
-    cells = np.argwhere((count > 0) & (count < 8))
-    index = np.full(count.shape, -1)
+    index = np.full(np.subtract(inside.shape, 1), -1)
     index[tuple(cells.T)] = np.arange(len(cells))
     quads = [_quads_along(inside, index, axis) for axis in range(3)]
     return _points_in(cells, values), np.concatenate(quads)
+
+
+def _unambiguous(values: Array) -> tuple[Array, Indices]:
+    """Return the field without ambiguous faces, and the cells that the surface cuts.
+
+    A face with two opposite corners inside and the other two outside would give an edge
+    of four quads. The outer corner nearest to the surface is moved just inside.
+    """
+    values = values.copy()
+    while True:
+        inside = values < 0.0
+        corners = [
+            inside[x : x - 1 or None, y : y - 1 or None, z : z - 1 or None]
+            for x, y, z in _CORNERS
+        ]
+        count = np.sum(corners, axis=0)
+        cells = np.argwhere((count > 0) & (count < 8))
+        whole = tuple(np.moveaxis(cells[:, None] + _CORNERS, -1, 0))
+        field, ambiguous = values[whole], False
+        for face in _FACES:
+            a, b, c, d = (field[:, face] < 0.0).T
+            rows = np.flatnonzero((a == d) & (b == c) & (a != b))
+            outer = np.where(field[rows][:, face] < 0.0, np.inf, field[rows][:, face])
+            nearest = face[outer.argmin(axis=1)]
+            values[tuple(axis[rows, nearest] for axis in whole)] = -_JUST_INSIDE
+            ambiguous |= bool(len(rows))
+        if not ambiguous:
+            return values, cells
 
 
 def _points_in(cells: Indices, values: Array) -> Array:
@@ -222,106 +243,3 @@ def _quads_along(inside: Flags, index: Indices, axis: int) -> Indices:
     # The other two axes keep their order, so the ring about y runs the other way.
     outward = flags[k, i, j] != (axis == 1)
     return np.where(outward[:, None], quads, quads[:, ::-1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Flesh:
-    """C tapered capsules (or spheres) in the T-pose."""
-
-    starts: Array  # [m], shape (C, 3)
-    ends: Array  # [m], shape (C, 3)
-    radii: Array  # at starts and ends [m], shape (C, 2)
-    segments: Indices  # that each moves with, the root being the pelvis, shape (C,)
-    limbs: Indices  # 0 for the trunk, 1 to 4 for arms and legs, shape (C,)
-
-    def distances(self, points: Array, which: int) -> tuple[Array, Array]:
-        """Return distances [m] to a capsule, negative inside, and its radii there [m].
-
-        Points [m] are (..., 3), both results (...).
-        """
-        share, away = _along_bone(points, self.starts[which], self.ends[which])
-        start, end = self.radii[which]
-        radius = start + share * (end - start)
-        return away - radius, radius
-
-    def close_to(self, points: Array) -> list[Indices]:
-        """Return for each capsule the indices of the points (P, 3) close to it."""
-        middles = 0.5 * (self.starts + self.ends)
-        reach = 0.5 * np.linalg.norm(self.ends - self.starts, axis=1)
-        reach += self.radii.max(axis=1) + _CLOSE
-        squares = [np.vecdot(points - m, points - m) for m in middles]
-        return [np.flatnonzero(s < r * r) for s, r in zip(squares, reach, strict=True)]
-
-    def field(self, points: Array, parts: Sequence[Any]) -> Array:
-        """Return the approximate distance to the blended capsules, negative inside.
-
-        Arms and legs blend with the trunk, but not with one another. Points [m] are
-        (..., 3); ``parts`` selects those close to each capsule.
-        """
-        limbs = np.full((_LIMBS, *points.shape[:-1]), _FAR)
-        for c, (k, part) in enumerate(zip(self.limbs, parts, strict=True)):
-            blend = (_LIMB if k else _TRUNK) * self.radii[c].min()
-            distances = self.distances(points[part], c)[0]
-            limbs[k][part] = _smooth_minimum(limbs[k][part], distances, blend)
-        whole: Array = limbs[0]
-        for k in range(1, _LIMBS):
-            blend = _LIMB_ON_TRUNK * self.radii[self.limbs == k].max()
-            whole = np.minimum(whole, _smooth_minimum(limbs[0], limbs[k], blend))
-        return whole
-
-
-def _along_bone(points: Array, start: Array, end: Array) -> tuple[Array, Array]:
-    """Return the nearest places on a bone (0 start, 1 end) and the distances [m]."""
-    bone = end - start
-    away = points - start
-    share = np.clip(away @ bone / max(float(bone @ bone), 1e-12), 0.0, 1.0)
-    away -= share[..., None] * bone
-    return share, np.sqrt(np.vecdot(away, away))
-
-
-def _flesh_of(body: Body) -> _Flesh:
-    """Return a body's capsules: pelvis, segments, a head, and a heel for each foot."""
-    skeleton, rest, root = body.skeleton, body.rest_positions, body.skeleton.root
-    radii = _radii(body)
-    # Where two segments of a limb meet, the radius is the mean of theirs.
-    thick = radii.copy()
-    for j, children in enumerate(skeleton.children):
-        if len(children) == 1:
-            thick[j] = np.sqrt(radii[j] * radii[children[0]])
-    rows = [(rest[root], rest[root], (thick[root], thick[root]), root)]
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        if skeleton.joints[j] == "Head":
-            neck = _NECK * radii[j]
-            rows.append((rest[p], rest[j], (neck, neck), j))
-            rows.append((rest[j], rest[j], (radii[j], radii[j]), j))
-            continue
-        # The segments to the hips lie within the pelvis and move with it.
-        part = root if skeleton.joints[j].startswith("Hip") else j
-        rows.append((rest[p], rest[j], (thick[p], thick[j]), part))
-        if skeleton.joints[j].startswith("Foot"):
-            heel = np.array([rest[p, 0], radii[j], rest[p, 2]])
-            rows.append((heel, rest[j], (radii[j], radii[j]), j))
-    starts, ends, pairs, segments = (np.array(c) for c in zip(*rows, strict=True))
-    # The limb of each segment: 0 for the trunk, 1 to 4 for arms and legs.
-    limbs = np.zeros(len(skeleton), dtype=np.int64)
-    for k, joint in enumerate([*skeleton.sides("Elbow"), *skeleton.sides("Knee")], 1):
-        limbs[[joint, *skeleton.descendants(joint)]] = k
-    return _Flesh(starts, ends, pairs, segments, limbs[segments])
-
-
-def _radii(body: Body) -> Array:
-    """Return the radius of each segment's skin [m], shape (J,)."""
-    skeleton, radii = body.skeleton, body.radii.copy()
-    hips = body.rest_positions[skeleton.hips]
-    widest = _THIGH * float(np.linalg.norm(hips[0] - hips[1]))
-    legs = [*skeleton.sides("Knee"), *skeleton.sides("Ankle")]
-    radii[legs] = np.minimum(radii[legs], widest)
-    if "Neck" in skeleton.joints:
-        radii[skeleton.index("Neck")] = _NECK * radii[skeleton.index("Head")]
-    return np.asarray(np.maximum(radii, _THINNEST * body.height))
-
-
-def _smooth_minimum(a: Array, b: Array, blend: float) -> Array:
-    """Return the smooth minimum of two distances (Quilez, quadratic polynomial)."""
-    near = np.maximum(blend - np.abs(a - b), 0.0)
-    return np.minimum(a, b) - near * near / (4.0 * blend)

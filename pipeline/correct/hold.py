@@ -60,7 +60,7 @@ class Blend:
     def __call__(self, prior: Array, measured: Array, confidence: Array) -> Array:
         """Return the blended postures [m], shape (..., J, 3).
 
-        ``measured`` may be NaN where its share, ``confidence`` in [0, 1] (..., J), is 0.
+        ``measured`` may be NaN where its share, ``confidence`` (..., J), is 0.
         """
         if confidence.min() >= 1.0:
             return measured.copy()

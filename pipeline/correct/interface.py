@@ -52,7 +52,10 @@ class Observation:
 
     def as_take(self) -> Observation:
         """Return a frame as a take of one frame."""
-        scores, time = (self.reliability[None], self.geometry[None]), np.array([self.time])
+        scores, time = (
+            (self.reliability[None], self.geometry[None]),
+            np.array([self.time]),
+        )
         sensor = None if self.sensor is None else self.sensor[None]
         return Observation(self.positions[None], *scores, time, self.lengths, sensor)
 
@@ -74,7 +77,6 @@ class Correction:
     coverage: Any
     """How well the method knows the posture, in [0, 1]: a number, or for a take an
     array of shape (T,); NaN if the method cannot say."""
-
 
     def frame(self, k: int) -> Correction:
         """Return one frame of a take."""
@@ -118,8 +120,9 @@ def joined(parts: Sequence[Correction]) -> Correction:
     """Return consecutive parts of a take as one; with rotations, all of them have."""
     if len(parts) == 1:
         return parts[0]
-    arrays: Any = zip(*(vars(part).values() for part in parts), strict=True)
-    return Correction(*(None if a[0] is None else np.concatenate(a) for a in arrays))
+    rows: Any = zip(*(vars(part).values() for part in parts), strict=True)
+    arrays: list[Any] = [None if r[0] is None else np.concatenate(r) for r in rows]
+    return Correction(*arrays)
 
 
 def measured_only(positions: Array) -> Correction:

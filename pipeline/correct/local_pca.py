@@ -97,6 +97,7 @@ class LocalPCA(Corrector):
         self._generator = np.random.default_rng(self.seed)
         self._last: list[Array] = []
         self._nearest: Indices | None = None
+        self.energy: PostureEnergy
         self._spanned: frozenset[int] | None = None
         self._coverage: float | None = None
 
@@ -184,9 +185,10 @@ class LocalPCA(Corrector):
             weights = reliability + self.memory
             total = reliability[:, None] * seen + self.memory * last
             query = total / np.maximum(weights, 1e-12)[:, None]
-        guess, count = self._nearest, self.neighbors
-        self._nearest = self.database.neighbors(query, weights, count, guess)[0]
-        return self._nearest
+        count, guess = self.neighbors, self._nearest
+        nearest: Indices = self.database.neighbors(query, weights, count, guess)[0]
+        self._nearest = nearest
+        return nearest
 
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> Array:
         """Return how well the database knows each of the next postures, in [0, 1].
@@ -199,7 +201,7 @@ class LocalPCA(Corrector):
         squares = (np.vecdot(apart, apart) @ reliability[..., None])[..., 0].min(axis=1)
         distance = np.sqrt(squares / np.maximum(reliability.sum(axis=1), 1e-9))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
-        coverage = np.clip(2.0 - distance / near, 0.0, 1.0)
+        coverage: Array = np.clip(2.0 - distance / near, 0.0, 1.0)
         for k, now in enumerate(coverage.tolist()):
             before = now if self._coverage is None else self._coverage
             self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)

@@ -16,7 +16,8 @@ from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
 
-from .pulled_character import Move, PulledCharacter, check_target
+from .moves import Move
+from .pulled_character import PulledCharacter, check_target
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
@@ -228,6 +229,7 @@ class PhysicsFilter(PulledCharacter):
             (to_mujoco(positions[there]), to_mujoco(rotations[there])),
             to_mujoco(accelerations[there]),
             np.where(dt > 0.0, dt, 1.0),  # the very first is not used
+            self._damping,
         )
 
 

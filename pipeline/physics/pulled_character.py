@@ -8,9 +8,7 @@ gravity and the floor, so the result obeys them whatever the target does.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,7 +18,7 @@ from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
 from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
-from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
+from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
@@ -28,9 +26,9 @@ from kinefilter.scenes import load_scene
 
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .momentum import Momentum
+from .moves import Move, MovesOf
 from .stuck_limbs import StuckLimbs
 
-_UP = np.array([0.0, 0.0, 1.0])
 _UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
 _SUBSTEP = 1.0 / 240.0
 """Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
@@ -41,7 +39,6 @@ jump of a tracker that the bounded forces are still catching up with."""
 _TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
 _OPENING = 0.08  # m by which hands have to open beyond what they hold to let it go
 _LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
-_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
 
 def steps_in(dt: float) -> tuple[int, int]:
@@ -55,38 +52,6 @@ def check_target(positions: Array, rotations: Array) -> None:
     # A single NaN would spoil every later step.
     if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
         raise InputError("the target is not finite; correct the frame or skip it")
-
-
-@dataclass(frozen=True, eq=False)
-class Move:
-    """The way from one target to the next, in MuJoCo's world.
-
-    Several moves in a row have a leading axis T.
-    """
-
-    duration: Any
-    """Time that it takes [s]."""
-    before: tuple[Array, Array]
-    """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
-    after: tuple[Array, Array]
-    """The same at its end."""
-    forward: Array
-    """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
-    upward: Any
-    """Force [N] that carries the body and accelerates it upward."""
-    left_share: Any
-    """Share of it that the left foot bears if both feet are planted, in [0, 1]."""
-
-    def __getitem__(self, k: int) -> Move:
-        """Return one of several moves."""
-        return Move(
-            float(self.duration[k]),
-            (self.before[0][k], self.before[1][k]),
-            (self.after[0][k], self.after[1][k]),
-            self.forward[k],
-            float(self.upward[k]),
-            float(self.left_share[k]),
-        )
 
 
 class PulledCharacter:
@@ -130,9 +95,9 @@ class PulledCharacter:
         bias = model.actuator_biasprm[:count]
         self._stiffness, self._damping = self._gains = -bias[:, 1], -bias[:, 2]
         torques = range(3 * len(joints), count)
-        self._turn_axes = model.actuator_gear[torques, 3:]
         turned = [model.actuator(i).name.split(":")[1] for i in torques]
         self._turned = np.array([joints.index(name) for name in turned])
+        self._move = MovesOf(body, self._turned, model.actuator_gear[torques, 3:])
         targets = [model.body(f"target:{name}").id for name in joints]
         self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")
@@ -142,12 +107,9 @@ class PulledCharacter:
         self._props = np.isin(model.body_rootid, free[free != root])
         self._movable = bool(self._props.any())
         self._weight = float(body.mass * GRAVITY)
-        masses = joint_masses(body)
-        self._masses, self._shares = masses[:, None], masses / masses.sum()
-        self._momentum = Momentum(self.data, self._sites, masses, root)
+        self._momentum = Momentum(self.data, self._sites, joint_masses(body), root)
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
-        self._feet = np.transpose(ankles_and_toes(body.skeleton))
-        self._soles = self._bodies[self._feet[:, 1]]
+        self._soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
         self._joint_damping = model.dof_damping.copy()
         self.compliance = None
         if isinstance(tracking, GameTracking):
@@ -230,40 +192,8 @@ class PulledCharacter:
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._velocity = velocity
         share = 1.0 if gives is None else gives.recovered
-        return self._follow(self._move(before, after, gained, dt, share), stands)
-
-    def _move(
-        self,
-        before: tuple[Array, Array],
-        after: tuple[Array, Array],
-        acceleration: Array,
-        duration: Any,
-        share: float = 1.0,
-    ) -> Move:
-        """Return the move between two targets, or several, as ``Move`` has them.
-
-        The acceleration [m/s^2] has the shape of positions; its forces are scaled by
-        ``share``.
-        """
-        seconds = np.asarray(duration)[..., None]
-        opposite = np.vecdot(before[1], after[1]) < 0.0
-        after = after[0], np.where(opposite[..., None], -after[1], after[1])
-        # In the segment's own frame, as the torques' axes are.
-        turning = rotation_vector(multiply(inverse(before[1]), after[1]))
-        turns = np.vecdot(turning[..., self._turned, :], self._turn_axes)
-        needed = self._masses * (acceleration + _UP * GRAVITY) * share
-        rows = (*needed.shape[:-2], -1)
-        moved = [(after[0] - before[0]).reshape(rows), turns]
-        forward = self._damping * (np.concatenate(moved, axis=-1) / seconds)
-        forward[..., : len(self._masses) * 3] += needed.reshape(rows)
-        upward = np.clip(needed[..., 2].sum(axis=-1), 0.0, _HARDEST_STEP * self._weight)
-        # By where the center of mass is between the feet.
-        left, right = np.moveaxis(0.5 * after[0][..., self._feet, :2].sum(axis=-2), -2, 0)
-        across, middle = left - right, self._shares @ after[0][..., :2]
-        left_share = np.vecdot(middle - right, across)
-        left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
-        left_share = np.clip(left_share, 0.0, 1.0)
-        return Move(duration, before, after, forward, upward, left_share)
+        move = self._move(before, after, gained, dt, self._damping, share)
+        return self._follow(move, stands)
 
     def _follow(self, move: Move, stands: Flags | None) -> bool:
         """Pull the character through a move; return False if it had to be reset."""

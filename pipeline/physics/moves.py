@@ -1,0 +1,100 @@
+"""Moves from one target posture to the next, with the forces that they need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kinefilter.characters import Body
+from kinefilter.characters.anthropometry import GRAVITY, joint_masses
+from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.rotations import inverse, multiply, rotation_vector
+from kinefilter.pipeline.target.feet import ankles_and_toes
+
+_UP = np.array([0.0, 0.0, 1.0])
+_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """The way from one target to the next, in MuJoCo's world.
+
+    Several moves in a row have a leading axis T.
+    """
+
+    duration: Any
+    """Time that it takes [s]."""
+    before: tuple[Array, Array]
+    """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
+    after: tuple[Array, Array]
+    """The same at its end."""
+    forward: Array
+    """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
+    upward: Any
+    """Force [N] that carries the body and accelerates it upward."""
+    left_share: Any
+    """Share of it that the left foot bears if both feet are planted, in [0, 1]."""
+
+    def __getitem__(self, k: int) -> Move:
+        """Return one of several moves."""
+        return Move(
+            float(self.duration[k]),
+            (self.before[0][k], self.before[1][k]),
+            (self.after[0][k], self.after[1][k]),
+            self.forward[k],
+            float(self.upward[k]),
+            float(self.left_share[k]),
+        )
+
+
+class MovesOf:
+    """Prepares the moves of one body.
+
+    Each torque of the pulls acts on a joint of ``turned``, shape (N,), about an axis in
+    the frame of its segment, shape (N, 3).
+    """
+
+    def __init__(self, body: Body, turned: Indices, axes: Array) -> None:
+        masses = joint_masses(body)
+        self._masses, self._shares = masses[:, None], masses / masses.sum()
+        self._hardest = _HARDEST_STEP * body.mass * GRAVITY
+        self._feet = np.transpose(ankles_and_toes(body.skeleton))
+        self._turned, self._turn_axes = turned, axes
+
+    def __call__(
+        self,
+        before: tuple[Array, Array],
+        after: tuple[Array, Array],
+        acceleration: Array,
+        duration: Any,
+        damping: Array,
+        share: float = 1.0,
+    ) -> Move:
+        """Return the move between two targets, as in ``Move``, or several in a row.
+
+        The acceleration of the joints [m/s^2] has the shape of their positions. The
+        pulls have a ``damping``, (pulls,), and carry a ``share`` of what is needed.
+        """
+        seconds = np.asarray(duration)[..., None]
+        opposite = np.vecdot(before[1], after[1]) < 0.0
+        after = after[0], np.where(opposite[..., None], -after[1], after[1])
+        # In the segment's own frame, as the torques' axes are.
+        turning = rotation_vector(multiply(inverse(before[1]), after[1]))
+        turns = np.vecdot(turning[..., self._turned, :], self._turn_axes)
+        needed = self._masses * (acceleration + _UP * GRAVITY) * share
+        rows = (*needed.shape[:-2], -1)
+        moved = [(after[0] - before[0]).reshape(rows), turns]
+        forward = damping * (np.concatenate(moved, axis=-1) / seconds)
+        forward[..., : len(self._masses) * 3] += needed.reshape(rows)
+        upward = np.clip(needed[..., 2].sum(axis=-1), 0.0, self._hardest)
+        # By where the center of mass is between the feet.
+        left, right = np.moveaxis(
+            0.5 * after[0][..., self._feet, :2].sum(axis=-2), -2, 0
+        )
+        across, middle = left - right, self._shares @ after[0][..., :2]
+        left_share = np.vecdot(middle - right, across)
+        left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
+        left_share = np.clip(left_share, 0.0, 1.0)
+        return Move(duration, before, after, forward, upward, left_share)
