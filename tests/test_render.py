@@ -121,6 +121,24 @@ def test_pictures_that_are_there_are_kept_and_others_drawn_again(
     assert all(f.read_bytes() != p for f, p in zip(files, pictures, strict=True))
 
 
+@pytest.mark.usefixtures("backend")
+def test_seams_are_dark_lines_on_the_body_alone(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip, out = tmp_path / "clip.npz", tmp_path / "%d.png"
+    write_clip(make_clip(1), clip)
+    pictures = []
+    for seams in (False, True):
+        look = Look(size="320x180", seams=seams)
+        render_clips([clip], out.with_name(f"{seams}-%d.png"), look, jobs=1)
+        pictures.append(_decoded(tmp_path / f"{seams}-0.png")[0][0].astype(int))
+    darker = pictures[0].sum(axis=2) - pictures[1].sum(axis=2)
+    assert darker.min() >= 0
+    skin = np.ptp(pictures[0], axis=2) > 10  # the floor is gray
+    assert 0.02 < np.mean(darker[skin] > 60) < 0.4
+    assert np.mean(darker[~skin] > 60) < 0.002
+
+
 def test_pictures_of_another_opengl_or_version_are_of_another_shot(
     make_clip: MakeClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

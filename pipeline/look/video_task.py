@@ -193,6 +193,7 @@ def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
             size=look.pixels,
             samples=look.samples or 0,
             toward=what.camera.toward,
+            seams=look.seams,
             translucent=what.drawing.raw is not None and look.place == "over",
         )
         renderer = OffscreenRenderer(model, what.camera, shadows=look.shadows)
