@@ -15,13 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton
+from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.characters.arrays import Flags
 from kinefilter.pipeline.edits import FEET, Edit, EditsFile, read_edits, with_contacts
 from kinefilter.pipeline.failures import Failure, FailureKind
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look.comparison import read_comparison
+from kinefilter.pipeline.look.comparison import read_comparison, same_times
+from kinefilter.pipeline.look.curves import Curves
 from kinefilter.pipeline.look.doubts import doubtful
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.edit_history import EditHistory, timeline_html
@@ -204,6 +205,59 @@ def test_of_a_long_motion_the_frames_around_are_shown_closer() -> None:
 def test_the_picture_of_an_hour_stays_small() -> None:
     contacts = np.random.default_rng(0).random((108_000, 4)) < 0.5
     assert len(timeline_html(named(contacts), 70_000, (0, 107_999))) < 50_000
+
+
+def _curves(html: str) -> dict[str, list[list[tuple[float, float]]]]:
+    """Return the strokes of each color in a picture of curves."""
+    found = {}
+    for path, color in re.findall(r'class="curve" d="([^"]*)" stroke="([^"]*)"', html):
+        strokes = [stroke for stroke in path.split("M") if stroke]
+        found[color] = [
+            [(float(x), float(y)) for x, y in (p.split() for p in stroke.split("L"))]
+            for stroke in strokes
+        ]
+    return found
+
+
+def test_curves_are_the_paths_of_a_joint_with_gaps_where_it_was_not_seen(
+    make_clip: MakeClip,
+) -> None:
+    clip, joint = make_clip(100), "WristLeft"
+    j = clip.skeleton.index(joint)
+    raw = clip.positions + np.array([0.0, 0.02, 0.0])
+    raw[40:50, j] = np.nan
+    html = Curves(Drawing(clip, raw), joint, "y (up)").html(25)
+    before, after = _curves(html)["rgb(130, 130, 130)"]
+    assert [len(before), len(after)] == [40, 50]
+    (whole,) = _curves(html)["rgb(237, 120, 33)"]
+    x, y = np.transpose(whole)
+    np.testing.assert_allclose(x, 6.0 * np.arange(100) + 3.0)
+    low, high = map(float, re.search(r"(-?\d+) to (-?\d+) cm", html).groups())
+    heights = high - y / 150.0 * (high - low)  # cm
+    np.testing.assert_allclose(heights, 100.0 * clip.positions[:, j, 1], atol=1.0)
+    assert (np.array([y for _, y in before]) < y[:40]).all()  # 2 cm higher
+    assert 'd="M153.0 0V' in html  # frame 25
+
+
+def test_the_curves_of_an_hour_stay_small_and_another_clip_is_one_of_them(
+    make_clip: MakeClip,
+) -> None:
+    clip = make_clip(20_000)
+    drawing = Drawing(clip, clip.positions, other=clip)
+    assert "other" in drawing.layers
+    html = Curves(drawing, "Head", "x (left)").html(7)
+    assert len(_curves(html)) == 3
+    assert len(html) < 50_000
+
+
+def test_clips_are_compared_at_the_same_times(make_clip: MakeClip) -> None:
+    clip = make_clip(61)
+    late = replace(clip.at(slice(None, None, 2)), time=9.0 + clip.time[::2])
+    found = same_times(late, clip, Path("late.npz"))
+    assert len(found) == 61
+    np.testing.assert_array_equal(found.root[::2], clip.root[::2])
+    with pytest.raises(InputError, match=r"late\.npz: lasts 1\.00 s, the motion 2\.00"):
+        same_times(clip.at(slice(31)), clip, Path("late.npz"))
 
 
 def test_the_status_names_the_least_reliable_joint_and_the_force(

@@ -44,6 +44,10 @@ let row = label;
 while (!row.querySelector('input[type=checkbox]')) row = row.parentElement;
 row.querySelector('input[type=checkbox]').click();
 """
+_UNFOLD = """
+[...document.querySelectorAll('div')].filter(
+  (d) => d.textContent.trim() === arguments[0] && d.children.length <= 2).pop().click();
+"""
 _TEXT = "return document.body.innerText"
 _LISTED = "return [...document.querySelectorAll('input')].map((i) => i.value).join()"
 
@@ -143,6 +147,16 @@ def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
     own = (f"{viewer.address}/", f"blob:{viewer.address}/", "data:")
     assert all(address.startswith(own) for address in page.requests())
     assert not [line for line in page.console() if "SEVERE" in line]
+
+
+def test_the_curves_of_a_joint_are_drawn_in_their_folder(page: Browser) -> None:
+    curves = (
+        "return [...document.querySelectorAll('#curves .curve')]"
+        ".map((curve) => curve.getAttribute('d'))"
+    )
+    page.run(_UNFOLD, "Curves")
+    _wait(lambda: len(page.run(curves)) == 2)
+    assert all(curve.startswith("M") for curve in page.run(curves))
 
 
 def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(

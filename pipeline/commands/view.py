@@ -56,6 +56,9 @@ class View:
     take: UseAppendAction[tuple[Path, ...]] = ()
     """The take that the clip was made from, shown beside it. For several sensors,
     repeat the option in the order given to clean."""
+    other: Path | None = None
+    """Another clip of the same take, such as one cleaned with other options, shown as a
+    green figure and in the curves."""
     calibration: Path | None = None
     """Calibration of several sensors, from 'merge --save-calibration'."""
     bind: str = "127.0.0.1"
@@ -81,6 +84,7 @@ class View:
         self._check(save)
         try:
             drawing, again = self._drawing(EditsFile(save).read())
+            drawing, again = self._compared(drawing, again)
             with opened_server(self.bind, self.port) as server:
                 viewer = Viewer(server, drawing, save, again)
                 shown = ", ".join(map(str, self.motion))
@@ -100,7 +104,7 @@ class View:
         check_output(save)
         config, takes = replace(self.config, edits=None), self.take or self.motion
         files = (config.database, config.model, config.contacts)
-        used = (*files, self.calibration)
+        used = (*files, self.calibration, self.other)
         keep(save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
@@ -127,6 +131,24 @@ class View:
         with_take = bool(self.take) and self.take != self.motion
         kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)
+
+    def _compared(
+        self, drawing: Drawing, again: CleanAgain | None
+    ) -> tuple[Drawing, CleanAgain | None]:
+        """Add the clip of --other to a drawing, and to those that cleaning returns."""
+        if self.other is None:
+            return drawing, again
+        from kinefilter.pipeline.look.comparison import same_times
+
+        path, other = self.other, read_finite_clip(self.other)
+
+        def added(drawing: Drawing) -> Drawing:
+            return replace(drawing, other=same_times(other, drawing.clip, path))
+
+        if again is None:
+            return added(drawing), None
+        clean_again = again
+        return added(drawing), lambda edits, steps: added(clean_again(edits, steps))
 
     def _drawing(self, edits: Sequence[Edit]) -> tuple[Drawing, CleanAgain | None]:
         """Return the drawing, and a function that cleans it with other edits."""

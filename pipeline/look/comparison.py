@@ -40,6 +40,7 @@ _DRIFT = 0.1  # s between time stamps and the constant rate of a file without th
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall reaches as far
 _ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, and --keys 1
 _HALF = 2.0**-11  # relative: USD stores moved distances in half precision
+_SAME_LENGTH = 0.2  # s by which two clips of one take may differ in length
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
 _LEAST_TILT = np.radians(1.5)  # a smaller tilt is an effect of cleaning
 _STEPS = 8  # of Newton's method: each squares the error of the angle
@@ -127,6 +128,21 @@ def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[st
     displaced = find_displaced(time, mended, positions, yaw, skeleton)
     sentences = describe_failures([*failures, *displaced], time[0])
     return (*describe_gaps(long_gaps(time), time[0]), *sentences)
+
+
+def same_times(other: Clip, clip: Clip, path: Path) -> Clip:
+    """Return the frames of another clip at the times of a clip, counted from its first.
+
+    Raises an InputError that names ``path`` if they do not last equally long.
+    """
+    lasts, other_lasts = (c.time[-1] - c.time[0] for c in (clip, other))
+    if abs(lasts - other_lasts) > _SAME_LENGTH:
+        raise InputError(
+            f"{path}: lasts {other_lasts:.2f} s, the motion {lasts:.2f} s; give a clip "
+            "of the same take"
+        )
+    since, wanted = other.time - other.time[0], clip.time - clip.time[0]
+    return other.at(nearest_frames(since, wanted))
 
 
 def raw_positions(path: Path, clip: Clip, times: Array) -> Array:

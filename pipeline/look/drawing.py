@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 
-CLEANED, PHYSICS = (92, 69, 184), (237, 120, 33)
-"""Colors of the stick figures before and after physics."""
+CLEANED, PHYSICS, OTHER = (92, 69, 184), (237, 120, 33), (20, 145, 110)
+"""Colors of the stick figures before and after physics, and of another clip."""
 RELIABILITY = ("#d73027", "#fee090", "#3f74b5")
 """Reliability 0, 0.5 and 1: red, pale yellow and blue, distinct for the color-blind."""
 ORIGINS = ("#4d7fbf", "#f0a028", "#c8285a")
@@ -101,6 +101,8 @@ class Drawing:
     """The sensors whose takes were merged, if there were several."""
     failures: tuple[Failure, ...] = ()
     """Failures of the tracker, as far as they are known."""
+    other: Motion | None = None
+    """Another motion to compare with the clip, frame by frame."""
 
     @classmethod
     def of(cls, result: CleanResult, take: Take, merged: Merged | None = None) -> Self:
@@ -119,7 +121,7 @@ class Drawing:
 
     @cached_property
     def figures(self) -> dict[str, StickFigure]:
-        """Stick figures by name: raw, cleaned (before physics), physics, sensors."""
+        """Figures by name: raw, cleaned (before physics), physics, other, sensors."""
         clip, skeleton = self.clip, self.clip.skeleton
         figures = {}
         if self.raw is not None:
@@ -129,6 +131,9 @@ class Drawing:
             figures["cleaned"] = StickFigure(skeleton, before, CLEANED)
         if self.simulated:
             figures["physics"] = StickFigure(skeleton, clip.positions, PHYSICS)
+        if self.other is not None:
+            positions = self.other.positions
+            figures["other"] = StickFigure(self.other.skeleton, positions, OTHER)
         return figures | {
             s.name: StickFigure(s.skeleton, s.joints, s.color) for s in self.sensors
         }

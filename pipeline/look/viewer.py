@@ -17,6 +17,7 @@ from kinefilter.characters.arrays import Flags, runs
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile
 from kinefilter.pipeline.progress import Progress
 
+from .curves import AXES, Curves
 from .doubts import doubtful
 from .drawing import Drawing
 from .edit_history import EditHistory, timeline_html
@@ -127,6 +128,12 @@ class Viewer(ServedPage):
             self._on(again.on_click, self._clean_again)
             self._message = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
+        with gui.add_folder("Curves", expand_by_default=False):
+            self._curve = gui.add_dropdown("joint", joints)
+            self._axis = gui.add_dropdown("coordinate", AXES, initial_value=AXES[1])
+            self._plot = gui.add_html("")
+        for choice in (self._curve, self._axis):
+            self._on(choice.on_update, self._choose_curves)
         shown = dict(drawing.layers)
         if "raw" in shown:  # several sensors stay where they are in the room
             shown[_BESIDE] = not drawing.sensors
@@ -138,6 +145,8 @@ class Viewer(ServedPage):
 
     def _look_at(self, drawing: Drawing) -> None:
         self._clip, self._sensors = drawing.clip, drawing.sensors
+        self._drawing = drawing
+        self._choose_curves()
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
         self._pin = None  # removed with the old scene
@@ -157,6 +166,7 @@ class Viewer(ServedPage):
             rows = dict(zip(_ROWS, self._edits.contacts.T, strict=True))
             rows |= {"edited": self._edits.edited, "doubtful": self._doubts}
             self._timeline.content = timeline_html(rows, frame, self._first_and_last)
+            self._plot.content = self._curves.html(frame)
             if self._pin is not None:
                 self._pin.visible = frame == self._pinned
             self._play.label = "Pause" if playing else "Play"
@@ -183,6 +193,9 @@ class Viewer(ServedPage):
 
     def _set_speed(self, speed: str) -> None:
         self._playback.change_speed(float(speed), perf_counter())
+
+    def _choose_curves(self, _: object = None) -> None:
+        self._curves = Curves(self._drawing, self._curve.value, self._axis.value)
 
     def _choose_layers(self, _: object = None) -> None:
         chosen = {name for name, box in self._boxes.items() if box.value}

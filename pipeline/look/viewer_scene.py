@@ -64,7 +64,8 @@ class ViewerScene:
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         _add_frusta(scene, drawing.sensors)
-        self._figures = {"cleaned", "physics", *(s.name for s in drawing.sensors)}
+        own = ("cleaned", "physics", "other")
+        self._figures = {*own, *(s.name for s in drawing.sensors)}
         for name, add in (("forces", _add_force), ("props", _add_moving_props)):
             if name in drawing.layers:
                 self._layers[name] = add(scene, clip)
