@@ -46,14 +46,15 @@ _LARGEST_RADIUS, _LARGEST_HAND_RADIUS = 0.065, 0.018  # of stature. Guesses.
 # the masses of de Leva's upper, middle and lower trunk. Angles are ranges of motion
 # (Norkin & White 2016, Measurement of Joint Motion, appendix B) relative to the T-pose,
 # plus a margin for where Kinect's joints lie in the body: in marker mocap converted to
-# Kinect joints, 1 % of the frames exceed them.
+# Kinect joints, 1 % of the frames exceed them. Wrists have what people use of theirs
+# (``retarget.hands``), or contact with the body would bend them to their limits.
 _Row = tuple[float, float, tuple[float, float, float], float]
 _LIMBS: dict[str, _Row] = {
     "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0), 50.0),
     "Elbow": (0.186, 0.0271, (1.0, 0.0, 0.0), 160.0),
     "Wrist": (0.146, 0.0162, (1.0, 0.0, 0.0), 165.0),
-    "Hand": (0.046, 0.0061, (1.0, 0.0, 0.0), 100.0),
-    "Hip": (0.050, 0.0300, (1.0, 0.0, 0.0), 60.0),
+    "Hand": (0.046, 0.0061, (1.0, 0.0, 0.0), 56.0),
+    "Hip": (0.050, 0.0300, (1.0, 0.0, 0.0), 56.0),
     "Knee": (0.245, 0.1416, (0.0, -1.0, 0.0), 140.0),
     "Ankle": (0.246, 0.0433, (0.0, -1.0, 0.0), 150.0),
     "Foot": (0.070, 0.0137, (0.0, -0.30, 0.954), 80.0),
@@ -70,7 +71,7 @@ _V2_TRUNK: dict[str, _Row] = {
     "Head": (0.075, 0.0500, (0.0, 1.0, 0.0), 75.0),
 }
 _V2_HANDS: dict[str, _Row] = {
-    "Hand": (0.046, 0.0041, (1.0, 0.0, 0.0), 100.0),
+    "Hand": (0.046, 0.0041, (1.0, 0.0, 0.0), 56.0),
     "HandTip": (0.040, 0.0010, (1.0, 0.0, 0.0), 90.0),
     "Thumb": (0.030, 0.0010, (0.6, 0.0, 0.8), 90.0),
 }

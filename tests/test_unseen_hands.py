@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from kinefilter import Avatar, CleanConfig, clean
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
 from kinefilter.characters import standard_body as body_of
+from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.correct import Hold
+from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -54,7 +58,10 @@ def test_live_too_until_they_are_seen() -> None:
     take = without_hands(KINECT_V1)
     hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
     positions, state = take.positions.copy(), take.state.copy()
-    positions[60:, hand] = positions[60:, wrist] + [0.0, 0.0, -0.08]
+    elbow = KINECT_V1.index("ElbowLeft")
+    forearm = unit(positions[60:, wrist] - positions[60:, elbow])
+    aside = unit(cross(forearm, [0.0, 0.0, 1.0]))
+    positions[60:, hand] = positions[60:, wrist] + 0.08 * unit(forearm + aside)
     state[60:, hand] = State.TRACKED
     take = replace(take, positions=positions, state=state)
     avatar = Avatar(body_of(KINECT_V1))
@@ -65,8 +72,8 @@ def test_live_too_until_they_are_seen() -> None:
         ]
     )
     assert np.percentile(bends(poses[10:58], KINECT_V1), 95) < 25.0
-    palm = poses[80:, hand] - poses[80:, wrist]
-    assert (palm[:, 2] < -0.5 * np.linalg.norm(palm, axis=1)).all()
+    palm = unit(poses[80:, hand] - poses[80:, wrist])
+    assert np.vecdot(palm, aside[20:]).min() > 0.5
 
 
 def test_whole_takes_as_frame_by_frame_before_hands_are_seen() -> None:
@@ -78,3 +85,49 @@ def test_whole_takes_as_frame_by_frame_before_hands_are_seen() -> None:
     steps = [hold.follow(p, np.where(np.isnan(p[:, 0]), 0.0, 1.0)) for p in positions]
     np.testing.assert_allclose(whole, steps, atol=1e-12)
     assert bends(whole[:60], KINECT_V1).max() < 1e-3
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+def test_wrists_bend_as_far_as_people_bend_theirs(skeleton: Skeleton) -> None:
+    rng, hands = np.random.default_rng(3), Hands(skeleton)
+    positions = np.tile(body_of(skeleton).rest_positions, (200, 1, 1))
+    wrists = skeleton.sides("Wrist")
+    for wrist in wrists:
+        beyond = skeleton.descendants(wrist)
+        turns = Rotation.random(200, random_state=rng).as_matrix()
+        away = positions[:, beyond] - positions[:, [wrist]]
+        positions[:, beyond] = positions[:, [wrist]] + away @ turns
+    before, found = bends(positions, skeleton), hands.bent_less(positions)
+    after = bends(found, skeleton)
+    assert before.max() > 150.0
+    assert after.max() < 55.0
+    np.testing.assert_allclose(after[before < 40.0], before[before < 40.0])
+    assert (np.diff(after.ravel()[np.argsort(before.ravel())])[:-20] > -1e-6).all()
+    for wrist in wrists:  # hands turn as a whole
+        beyond = skeleton.descendants(wrist)
+        for shape in (positions, found):
+            shape -= shape[:, [wrist]]
+        one, other = (shape[:, beyond] for shape in (positions, found))
+        np.testing.assert_allclose(
+            np.einsum("tik,tjk->tij", one, one),
+            np.einsum("tik,tjk->tij", other, other),
+            atol=1e-12,
+        )
+
+
+def test_a_hand_pressed_against_the_thigh_does_not_fold() -> None:
+    body = body_of(KINECT_V1)
+    positions = np.tile(body.rest_positions, (60, 1, 1))
+    hip = positions[:, KINECT_V1.index("HipLeft")]
+    chain = [KINECT_V1.index(f"{part}Left") for part in ("Elbow", "Wrist", "Hand")]
+    shoulder = positions[:, KINECT_V1.index("ShoulderLeft")]
+    down, inward = np.array([0.0, -1.0, 0.0]), np.linspace(0.0, 0.12, 60)[:, None]
+    place = shoulder.copy()
+    for joint in chain:
+        place = place + body.lengths[joint] * down
+        positions[:, joint] = place - inward * [1.0, 0.0, 0.0]
+    assert np.abs(positions[-1, chain[-1], 0] - hip[-1, 0]).max() < 0.06  # in the thigh
+    positions = BoneLengths(body).project(positions, np.ones(positions.shape[:2]))
+    rotations = rotations_from_positions(positions, body, None)
+    clip = PhysicsFilter(body).run(np.arange(60) / 30.0, positions, rotations)
+    assert bends(clip.positions, KINECT_V1).max() < 62.0
