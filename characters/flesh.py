@@ -105,7 +105,7 @@ def _smooth_minimum(a: Array, b: Array, blend: float) -> Array:
     return np.minimum(a, b) - near * near / (4.0 * blend)
 
 
-@dataclass
+@dataclass(eq=False)
 class _Sculptor:
     """Collects the shapes of a body."""
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import viser
+from conftest import MakeClip
 from viewing import ended, viewing
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -24,7 +25,8 @@ from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.sheets import write_contacts
 from kinefilter.pipeline.lab.bench import sample_path
-from kinefilter.pipeline.look.drawing import read_finite_clip
+from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
+from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
 
 QUICK = CleanConfig(method="none", physics=False)
@@ -136,7 +138,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
     for arguments, words in (
         ([str(tmp_path / "absent.npz")], "no such file"),
         ([str(tmp_path / "absent.csv")], "no such file"),
-        ([""], "is a folder"),
+        ([""], "no manifest.jsonl"),
         ([clip, "--method", "none"], "cleaning options are for takes"),
         ([take, "--take", take], "requires a clip"),
         ([take, "--edits", take], "would overwrite"),
@@ -154,6 +156,66 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([take, take], "the takes are identical"),
     ):
         assert words in _refused(arguments, capsys), arguments
+
+
+def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    takes, clips = tmp_path / "takes", tmp_path / "clips"
+    takes.mkdir()
+    for name in ("one", "two", "three"):
+        (takes / f"{name}.csv").write_bytes(sample_path().read_bytes())
+    quick = ["--method", "none", "--no-physics", "--to", "npz"]
+    assert main(["batch", str(takes), "-o", str(clips), "--jobs", "1", *quick]) == 0
+    (clips / "two.npz").unlink()
+    opened: list[Viewer] = []
+
+    def run(viewer: Viewer) -> int | None:
+        opened.append(viewer)
+        wanted = {1: "two", 2: "three"}.get(len(opened))
+        if wanted is None:
+            return None
+        (name,) = (x for x in viewer._listed if x.startswith(f"{wanted}.csv (force"))
+        viewer._requests.put((viewer._choose_take, name))
+        return run_page(viewer)
+
+    run_page = Viewer.run
+    monkeypatch.setattr(Viewer, "run", run)
+    capsys.readouterr()
+    assert main(["view", str(clips), "--take", str(takes)]) == 0
+    printed = capsys.readouterr()
+    assert "two.npz" in printed.err
+    assert printed.out.count("shows") == 1
+    first, again, other = opened
+    assert len(first._listed) == 3
+    assert again._clip.source == first._clip.source  # what could not be opened
+    assert other._file.path == takes / "three.edits.toml"
+    assert "raw" in other._scene._layers
+    assert sorted(takes.iterdir()) == sorted(
+        takes / f"{name}.csv" for name in ("one", "two", "three")
+    )
+    for arguments, words in (
+        ([str(clips), "--method", "none"], "apply to a folder"),
+        ([str(takes)], "no manifest.jsonl"),
+    ):
+        assert words in _refused(arguments, capsys), arguments
+
+
+def test_another_take_is_not_opened_over_unsaved_edits(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    with opened_server() as server:
+        names = ["first", "second"]
+        drawing, save = Drawing(make_clip(9)), tmp_path / "e.toml"
+        viewer = Viewer(server, drawing, save, listed=names)
+        viewer._edit("planted")
+        viewer._take.value = "second"
+        with pytest.raises(InputError, match="save or undo"):
+            viewer._choose_take("second")
+        assert viewer._take.value == "first"
+        viewer._save()
+        viewer._choose_take("second")
+        assert viewer.run() == 1
 
 
 def test_csv_and_bvh_are_clips_only_beside_a_take() -> None:

@@ -8,8 +8,18 @@ that plans the jobs and writes the manifest. ``tests/batch_figures.py`` measures
 ``tests/batch_faults.py`` kills runs and workers.
 """
 
-from .manifest import ClipRow, Row
-from .outcome_tables import as_tables
+from .manifest import ClipRow, Row, read_rows
+from .outcome_tables import as_tables, figures_of, worst_first
 from .run import JobProgress, Outcome, clean_files
 
-__all__ = ["ClipRow", "JobProgress", "Outcome", "Row", "as_tables", "clean_files"]
+__all__ = [
+    "ClipRow",
+    "JobProgress",
+    "Outcome",
+    "Row",
+    "as_tables",
+    "clean_files",
+    "figures_of",
+    "read_rows",
+    "worst_first",
+]

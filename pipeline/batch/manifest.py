@@ -234,6 +234,23 @@ def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
     return rows, length
 
 
+def read_rows(folder: Path) -> list[Row]:
+    """Return the last row of each take in the manifest of a local output folder.
+
+    Raises InputError if the folder has no manifest, or a damaged one.
+    """
+    path = folder / _LINES
+    try:
+        rows, _ = parse_rows(path.read_bytes(), str(path))
+    except FileNotFoundError:
+        raise InputError(
+            f"{folder}: no {_LINES}; give a folder of clips from 'kinefilter batch'"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    return list({row.take: row for row in rows}.values())
+
+
 def write_csv(rows: Iterable[Row], store: Store) -> None:
     """Write ``manifest.csv``: a line per clip, or one for a take without clips.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -12,6 +12,7 @@ from kinefilter.pipeline.formats.plain import counted
 from .manifest import ClipRow, Row
 from .run import Outcome
 
+_FIGURES = ("force", "outside", "slide", "jitter", "failures")
 _MAX_WORST = 5
 _MAX_FAILED = 20  # the manifest has all
 
@@ -23,14 +24,7 @@ def as_tables(outcome: Outcome) -> RenderableType:
     like motion that no body can perform; without physics, those that the database
     covers the least.
     """
-    rows = [*outcome.kept, *outcome.rows]
-    clips = [(row, clip) for row in rows for clip in row.clips]
-
-    def badness(pair: tuple[Row, ClipRow]) -> tuple[float, float]:
-        force = pair[1].external_force_body_weights or 0.0
-        return force, pair[1].share_outside_database or 0.0
-
-    clips.sort(key=badness, reverse=True)
+    clips = worst_first([*outcome.kept, *outcome.rows])
     tables = [_worst_table(clips[:_MAX_WORST])] if clips else []
     if outcome.failed:
         table = Table(title="failed", title_justify="left")
@@ -42,6 +36,34 @@ def as_tables(outcome: Outcome) -> RenderableType:
         table.caption = f"and {more} more, see the manifest" if more > 0 else None
         tables.append(table)
     return Group(_counts(outcome), *tables)
+
+
+def worst_first(rows: Iterable[Row]) -> list[tuple[Row, ClipRow]]:
+    """Return all clips with their rows, those with the largest external force first."""
+
+    def badness(pair: tuple[Row, ClipRow]) -> tuple[float, float]:
+        force = pair[1].external_force_body_weights or 0.0
+        return force, pair[1].share_outside_database or 0.0
+
+    clips = [(row, clip) for row in rows for clip in row.clips]
+    return sorted(clips, key=badness, reverse=True)
+
+
+def figures_of(row: Row, clip: ClipRow) -> dict[str, str]:
+    """Return the name of a clip's take and its main figures, formatted."""
+    share = None
+    if clip.jitter is not None and clip.jitter_raw:
+        share = clip.jitter / clip.jitter_raw
+    figures = (
+        (clip.external_force_body_weights, ".2f"),
+        (clip.share_outside_database, ".0%"),
+        (clip.skate_mm_per_frame, ".1f"),
+        (share, ".2f"),
+        (clip.failures, "d"),
+    )
+    texts = ["-" if value is None else format(value, form) for value, form in figures]
+    name = row.take if len(row.clips) == 1 else f"{row.take}, body {clip.body}"
+    return {"take": name} | dict(zip(_FIGURES, texts, strict=True))
 
 
 def _counts(outcome: Outcome) -> str:
@@ -74,25 +96,12 @@ def _counts(outcome: Outcome) -> str:
 def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
     table = Table(title=f"worst take{'s' * (len(worst) != 1)}", title_justify="left")
     table.add_column("take", overflow="fold")
-    for name in ("force", "outside", "slide", "jitter", "failures"):
+    for name in _FIGURES:
         table.add_column(name, no_wrap=True, justify="right")
     table.caption = (
         "external force in body weights; frames outside the database; slide of planted "
         "feet in mm per frame; jitter relative to the raw take; tracker failures"
     )
     for row, clip in worst:
-        share = None
-        if clip.jitter is not None and clip.jitter_raw:
-            share = clip.jitter / clip.jitter_raw
-        figures = (
-            (clip.external_force_body_weights, ".2f"),
-            (clip.share_outside_database, ".0%"),
-            (clip.skate_mm_per_frame, ".1f"),
-            (share, ".2f"),
-            (clip.failures, "d"),
-        )
-        table.add_row(
-            row.take if len(row.clips) == 1 else f"{row.take}, body {clip.body}",
-            *("-" if value is None else format(value, form) for value, form in figures),
-        )
+        table.add_row(*figures_of(row, clip).values())
     return table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +24,7 @@ from kinefilter.pipeline.progress import Progress
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
+    from kinefilter.pipeline.batch import ClipRow, Row
     from kinefilter.pipeline.draft import Unedited
     from kinefilter.pipeline.look.viewer import CleanAgain
 
@@ -41,10 +43,11 @@ class View:
     "kinefilter[view]".
     """
 
-    motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP")]
+    motion: Annotated[Positional[tuple[Path, ...]], arg(metavar="TAKE...|CLIP|FOLDER")]
     """A take in any of the formats of --format, which is cleaned first, or one take per
     sensor; or a clip (.npz, USD or GLB), which is shown as it is. With --take, .bvh and
-    .csv are clips too."""
+    .csv are clips too. Or a folder of clips from batch, which are listed with the worst
+    first."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Format of the take; default: detected from its content."""
@@ -54,8 +57,9 @@ class View:
     """Number of the person in the take, from 1; default: the one seen in most
     frames."""
     take: UseAppendAction[tuple[Path, ...]] = ()
-    """The take that the clip was made from, shown beside it. For several sensors,
-    repeat the option in the order given to clean."""
+    """The take that the clip was made from, shown beside it; for a folder of clips, the
+    folder of the takes. For several sensors, repeat the option in the order given to
+    clean."""
     other: Path | None = None
     """Another clip of the same take, such as one cleaned with other options, shown as a
     green figure and in the curves."""
@@ -72,15 +76,14 @@ class View:
     def run(self) -> int:
         """Read or clean the motion, and serve the page until interrupted."""
         require("viser", "viewing", "view")
+        if len(self.motion) == 1 and self.motion[0].is_dir():
+            return self._run_folder(self.motion[0])
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import opened_server
 
         if not self.motion:
             raise InputError("nothing to view; give a take or a clip")
-        # By default wave.edits.toml for wave.csv.gz.
-        first = self.motion[0]
-        stem = Path(first.name.removesuffix(".gz")).stem
-        save = self.config.edits or first.parent / f"{stem}.edits.toml"
+        save = self.config.edits or _edits_beside(self.motion[0])
         self._check(save)
         try:
             drawing, again = self._drawing(EditsFile(save).read())
@@ -95,6 +98,51 @@ class View:
         except KeyboardInterrupt:
             pass  # the regular way to quit
         return 0
+
+    def _run_folder(self, folder: Path) -> int:
+        """Serve the clips of a batch, the worst first, until interrupted."""
+        from kinefilter.pipeline.batch import figures_of, read_rows, worst_first
+        from kinefilter.pipeline.look.viewer import Viewer
+        from kinefilter.pipeline.look.viewer_server import check_address, opened_server
+
+        check_address(self.bind, self.port)
+        if self.config != CleanConfig() or self.other or self.body:
+            raise InputError(
+                f"{folder}: clips are shown as they are; of the options, only --take, "
+                "--calibration, --bind, --port and --open apply to a folder"
+            )
+        clips = worst_first(read_rows(folder))
+        if not clips:
+            raise InputError(f"{folder}: its manifest lists no clips")
+        names = []
+        for row, clip in clips:
+            take, *figures = figures_of(row, clip).items()
+            names.append(f"{take[1]} ({', '.join(map(' '.join, figures))})")
+        opened, number = self._open_listed(folder, *clips[0]), 0
+        with opened_server(self.bind, self.port) as server, suppress(KeyboardInterrupt):
+            viewer = Viewer(server, *opened, listed=names)
+            out.print(f"{viewer.address} shows {folder}; press Ctrl-C to quit")
+            if self.open:
+                webbrowser.open(viewer.address)
+            while (chosen := viewer.run()) is not None:
+                try:
+                    opened = self._open_listed(folder, *clips[chosen])
+                    number = chosen
+                except InputError as error:  # the page stays with the take it shows
+                    err.print(f"kinefilter: {error}")
+                server.gui.reset()
+                viewer = Viewer(server, *opened, listed=names, shown=number)
+        return 0
+
+    def _open_listed(
+        self, folder: Path, row: Row, clip: ClipRow
+    ) -> tuple[Drawing, Path]:
+        """Return the drawing of a clip, with its take if it is found, and the edits."""
+        path = folder / clip.output
+        takes = [t for place in self.take if (t := place / row.take).is_file()]
+        one = replace(self, motion=(path,), take=tuple(takes), body=clip.body)
+        drawing, _ = one._drawing(())
+        return drawing, _edits_beside(takes[0] if takes else path)
 
     def _check(self, save: Path) -> None:
         """Check all options before doing any work."""
@@ -201,6 +249,11 @@ class View:
 
         with progress_bars() as progress:
             return draw(edits, progress), draw
+
+
+def _edits_beside(path: Path) -> Path:
+    """Return the file of edits of a take or clip: wave.edits.toml for wave.csv.gz."""
+    return path.parent / f"{Path(path.name.removesuffix('.gz')).stem}.edits.toml"
 
 
 @dataclass(frozen=True)

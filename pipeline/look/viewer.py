@@ -50,7 +50,8 @@ class Viewer(ServedPage):
 
     Edits are read from the file ``save`` and saved there; nothing else is written,
     except a copy of that file if another program has changed it. ``again`` cleans the
-    take again; clips have none.
+    take again; clips have none. ``listed`` names all motions of a list, of which this
+    is number ``shown``, to choose from.
     """
 
     def __init__(
@@ -59,8 +60,11 @@ class Viewer(ServedPage):
         drawing: Drawing,
         save: Path,
         again: CleanAgain | None = None,
+        listed: Sequence[str] = (),
+        shown: int = 0,
     ) -> None:
         super().__init__(server)
+        self._listed, self._shown, self._chosen = tuple(listed), shown, shown
         self._file, self._again = EditsFile(save), again
         self._playback = Playback(drawing.clip.time)
         self._edits = EditHistory(self._file.read(), drawing.clip)
@@ -70,15 +74,19 @@ class Viewer(ServedPage):
         count = len(self._edits.edits)
         self._report(f"{count or 'no'} edits in {save.name}")
 
-    def run(self) -> None:
-        """Play and serve the requests of the page until ``stop`` is called."""
+    def run(self) -> int | None:
+        """Play and serve the requests of the page until ``stop`` is called.
+
+        Returns the number of the motion that was chosen from the list, if any was.
+        """
         serving = True
-        while serving:
+        while serving and self._chosen == self._shown:
             self._show()
             wait = self._playback.until_next(perf_counter())
             if sys.platform == "win32":
                 wait = min(wait or _POLL, _POLL)
             serving = self._serve(wait)
+        return self._chosen if serving else None
 
     def _add_panel(self, gui: viser.GuiApi, drawing: Drawing) -> None:
         def add_buttons(
@@ -87,6 +95,12 @@ class Viewer(ServedPage):
             group = gui.add_button_group(label, tuple(names), hint=hint)
             self._on(group.on_click, action)
 
+        if self._listed:
+            start = self._listed[self._chosen]
+            self._take: Any = gui.add_dropdown(
+                "take", self._listed, initial_value=start
+            )
+            self._on(self._take.on_update, self._choose_take)
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")
         self._frame: Any = gui.add_slider("frame", 1, last, 1, 1)
@@ -142,6 +156,13 @@ class Viewer(ServedPage):
             self._boxes = {n: gui.add_checkbox(n, on) for n, on in shown.items()}
         for box in self._boxes.values():
             self._on(box.on_update, self._choose_layers)
+
+    def _choose_take(self, name: str) -> None:
+        """Leave this motion for another one of the list, unless edits would be lost."""
+        if self._edits.unsaved:
+            self._take.value = self._listed[self._shown]
+            raise InputError("save or undo your edits before you open another take")
+        self._chosen = self._listed.index(name)
 
     def _look_at(self, drawing: Drawing) -> None:
         self._clip, self._sensors = drawing.clip, drawing.sensors
