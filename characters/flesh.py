@@ -3,8 +3,7 @@
 Each shape is a capsule that may taper and be flattened along the axes of the T-pose.
 Where two meet, the surface blends smoothly from one to the other. Girths follow the
 radii of the humanoid's segments and proportions the stature; the rest is by eye, with
-the breadths and depths of a man of average build (Winter 2009, figure 4.1; Tilley 1993,
-The Measure of Man and Woman) in mind.
+the breadths of chest and hips in Winter 2009, figure 4.1, in mind.
 """
 
 from __future__ import annotations
