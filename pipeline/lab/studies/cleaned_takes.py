@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinefilter import CleanResult, clean, read_take
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import over
 from kinefilter.scenes.library import MOTIONS
@@ -75,12 +76,23 @@ def _figures(result: CleanResult) -> dict[str, float]:
         "amplitude, after over before physics": amplitude,
         "peak hand speed, after over before physics": hand_speed,
         "amplitude, share of raw": after.amplitude_kept,
+        "wrists bent over 60 degrees, %": 100.0 * _bent_share(result),
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
         "external force, body weights": float(trace.external_force.mean()),
         "unexplained force, body weights": after.unexplained_force,
         "frames outside the database, %": 100.0 * float(np.mean(result.coverage < 0.5)),
         "simulation resets": float(trace.reset.sum()),
     }
+
+
+def _bent_share(result: CleanResult) -> float:
+    """Return the share of hands that the wrist bends by more than 60 degrees."""
+    clip, skeleton = result.clip, result.clip.skeleton
+    elbows, wrists, hands = (
+        clip.positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
+    )
+    cosine = np.vecdot(unit(wrists - elbows), unit(hands - wrists))
+    return float(np.mean(cosine < np.cos(np.radians(60.0))))
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
