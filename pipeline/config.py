@@ -15,6 +15,7 @@ from .presets import PRESETS, Parameters, PresetName, parameters
 
 _FARTHEST = 10_000.0  # m; no sensor sees a floor farther away
 
+# One list serves the command line and the readers; type checkers see Any.
 TakeFormat: TypeAlias = Literal[tuple(FORMATS)]  # type: ignore[valid-type]
 """Layouts of takes by name (see ``formats/takes.py``)."""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
+from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, between, rotate, unit
 
-_FREE, _MOST = np.radians(40.0), np.radians(55.0)
-"""Bend of a wrist [rad] up to which it stays as it is, and which it never reaches. What
-people do with their hands takes 54 to 60 degrees (Ryu et al. 1991, J. Hand Surg. 16A);
-where trackers report more, they have mostly lost the hand."""
+_FREE, _MOST = np.radians(40.0), joint_range("HandLeft") - np.radians(1.0)
+"""Bend of a wrist [rad] up to which it stays as it is, and which it never reaches: just
+inside the humanoid's range. People use 54 to 60 degrees of theirs (Ryu et al. 1991, J.
+Hand Surg. 16A); where trackers report more, they have mostly lost the hand."""
 _FOLDED = 0.05  # sine of the bend below which a hand that points back has no direction
 
 
@@ -75,7 +76,7 @@ class Hands:
         return straight
 
     def bent_less(self, positions: Array) -> Array:
-        """Return postures (..., J, 3) in which no wrist bends by 57 degrees or more.
+        """Return postures (..., J, 3) in which no wrist bends by 55 degrees or more.
 
         Hands that bend by more than 40 degrees turn toward their forearms.
         """

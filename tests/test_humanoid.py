@@ -123,6 +123,31 @@ def test_the_compiled_joints_turn_as_far_as_people_do(skeleton: Skeleton) -> Non
         assert list(joint.range) == pytest.approx([0.0, joint_range(name)])
 
 
+def test_joints_turn_as_far_as_the_table_of_their_ranges_says() -> None:
+    ranges = {
+        "SpineMid": 50,
+        "SpineShoulder": 45,
+        "Neck": 45,
+        "Head": 75,
+        "ShoulderLeft": 50,
+        "ElbowLeft": 160,
+        "WristLeft": 165,
+        "HandLeft": 56,
+        "HandTipLeft": 90,
+        "ThumbLeft": 90,
+        "HipLeft": 60,
+        "KneeLeft": 140,
+        "AnkleLeft": 150,
+        "FootLeft": 80,
+        "Spine": 80,
+        "ShoulderCenter": 45,
+    }
+    for name, degrees in ranges.items():
+        right = name.replace("Left", "Right")
+        assert np.degrees(joint_range(name)) == pytest.approx(degrees), name
+        assert joint_range(right) == joint_range(name)
+
+
 @pytest.mark.parametrize(
     ("one", "other", "meet"),
     [

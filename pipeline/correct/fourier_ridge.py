@@ -179,7 +179,7 @@ class FourierRidge(LearnedCorrector):
         joints = np.array(parts)[described.is_right.astype(int), described.part_of]
         return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
 
-    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
         """Correct a whole take."""
         self.start()
         posture = self._hold.fill(take.positions)

@@ -119,7 +119,7 @@ class Hold(Corrector):
         self._measured, self._last = measured[-1], filled[-1]
         return filled
 
-    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002
+    def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
         """Fill a whole take."""
         self.start()
         found = measured_only(take.positions)

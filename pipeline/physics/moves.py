@@ -49,8 +49,8 @@ class Move:
         )
 
 
-class MovesOf:
-    """Prepares the moves of one body.
+class MovePlanner:
+    """Plans the moves of one body.
 
     Each torque of the pulls acts on a joint of ``turned``, shape (N,), about an axis in
     the frame of its segment, shape (N, 3).

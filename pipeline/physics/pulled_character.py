@@ -26,7 +26,7 @@ from kinefilter.scenes import load_scene
 
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .momentum import Momentum
-from .moves import Move, MovesOf
+from .moves import Move, MovePlanner
 from .stuck_limbs import StuckLimbs
 
 _UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
@@ -97,7 +97,7 @@ class PulledCharacter:
         torques = range(3 * len(joints), count)
         turned = [model.actuator(i).name.split(":")[1] for i in torques]
         self._turned = np.array([joints.index(name) for name in turned])
-        self._move = MovesOf(body, self._turned, model.actuator_gear[torques, 3:])
+        self._move = MovePlanner(body, self._turned, model.actuator_gear[torques, 3:])
         targets = [model.body(f"target:{name}").id for name in joints]
         self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinefilter import CleanResult, clean, read_take
+from kinefilter.characters import Skeleton, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import over
@@ -35,11 +37,13 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
     first = _SEED + 1000 * options.seed
     groups = {
         "recorded": [
-            _figures(clean(read_take(file)))
+            _figures(take := read_take(file), clean(take))
             for file in over(files, "recorded takes", options.progress)
         ],
         "simulated": [
-            _figures(clean(simulate("basic", motions[k], seed=first + k).take))
+            _figures(
+                take := simulate("basic", motions[k], seed=first + k).take, clean(take)
+            )
             for k in options.progress("simulated takes", len(motions))
         ],
     }
@@ -59,7 +63,7 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
     return Study(title, header, rows, panels, across=2)
 
 
-def _figures(result: CleanResult) -> dict[str, float]:
+def _figures(take: Take, result: CleanResult) -> dict[str, float]:
     stages, trace = result.stages, result.trace
     assert trace is not None  # physics always leaves one
     raw, before, after = (stages[key] for key in ("raw", "corrected", "physics"))
@@ -76,7 +80,8 @@ def _figures(result: CleanResult) -> dict[str, float]:
         "amplitude, after over before physics": amplitude,
         "peak hand speed, after over before physics": hand_speed,
         "amplitude, share of raw": after.amplitude_kept,
-        "wrists bent over 60 degrees, %": 100.0 * _bent_share(result),
+        "wrists bent over 60 degrees, raw, %": _bent(take.positions, take.skeleton),
+        "wrists bent over 60 degrees, %": _bent(result.clip.positions, take.skeleton),
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
         "external force, body weights": float(trace.external_force.mean()),
         "unexplained force, body weights": after.unexplained_force,
@@ -85,14 +90,15 @@ def _figures(result: CleanResult) -> dict[str, float]:
     }
 
 
-def _bent_share(result: CleanResult) -> float:
-    """Return the share of hands that the wrist bends by more than 60 degrees."""
-    clip, skeleton = result.clip, result.clip.skeleton
+def _bent(positions: Array, skeleton: Skeleton) -> float:
+    """Return the share of seen hands that the wrist bends by over 60 degrees [%]."""
     elbows, wrists, hands = (
-        clip.positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
+        positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
     )
     cosine = np.vecdot(unit(wrists - elbows), unit(hands - wrists))
-    return float(np.mean(cosine < np.cos(np.radians(60.0))))
+    seen = np.isfinite(cosine)
+    bent = np.count_nonzero(cosine[seen] < np.cos(np.radians(60.0)))
+    return 100.0 * bent / seen.sum() if seen.any() else np.nan
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
