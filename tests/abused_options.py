@@ -373,11 +373,9 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
     changes: Sequence[tuple[Any, str, Any]] = (
         *((page, "run", ended(page.run)) for page in (Player, Viewer)),
         (live, "stopped_by_signals", soon),
-        (simulation, "simulated_pairs", partial(simulation.simulated_pairs, people=2)),
-        (
-            simulation,
-            "pairs_with_props",
-            partial(simulation.pairs_with_props, people=2),
+        *(
+            (simulation, name, partial(getattr(simulation, name), people=2))
+            for name in ("simulated_pairs", "pairs_with_props")
         ),
         (scripted_database, "MOTIONS", MOTIONS[:2]),
         (teach, "_SIMULATED", 2),
