@@ -24,6 +24,7 @@ _TRUNK, _LIMB, _LIMB_ON_TRUNK = 0.6, 0.15, 0.6
 _FAR = 1.0  # m: value of the field far from all shapes
 _CLOSE = 0.1  # m beyond a shape's surface, more than any blend reaches
 _WIDTH = 0.06  # of stature: half the depth of the chest of a body of average build
+_SLENDER = 0.2  # of the trunk's length, if that is less
 _SLIM, _STOUT = 0.8, 1.3  # times that, at most
 _PONDERAL = 12.6  # kg/m^3, average: mass over cubed stature
 
@@ -160,17 +161,20 @@ def _add_trunk(clay: _Sculptor) -> None:
     root, girdle = skeleton.root, skeleton.girdle
     spine = skeleton.parents[girdle]
     hips, shoulders = skeleton.hips, skeleton.sides("Shoulder")
-    wide = _WIDTH * body.height * girth_of(body)
+    trunk = at(girdle) - at(root)
+    # Sensors see some trunks shorter than they are: no round belly is to fill them.
+    slender = _SLENDER * float(np.linalg.norm(trunk))
+    wide = girth_of(body) * min(_WIDTH * body.height, slender)
     # The segments to the hips lie within the pelvis and move with it.
     clay.add(root, at(hips[0], y=0.012), at(hips[1], y=0.012), (0.74 * wide,) * 2)
     for hip, sign in zip(hips, (1.0, -1.0), strict=True):
         seat = at(hip, x=-0.006 * sign, y=-0.012, z=-0.022)
         clay.add(root, seat, seat, (0.7 * wide,) * 2)
     flat = (1.32, 1.0, 0.88)
-    clay.add(
-        spine, at(root, y=0.04), at(spine, y=-0.03), (0.98 * wide, 0.9 * wide), flat
-    )
-    chest = at(spine, y=0.02, z=0.004), at(girdle, y=-0.035, z=-0.002)
+    # By shares of the trunk, as some sensors have the spine's joint near the pelvis.
+    waist = at(root) + 0.13 * trunk, at(root) + 0.47 * trunk
+    clay.add(spine, *waist, (0.98 * wide, 0.9 * wide), flat)
+    chest = at(root, z=0.004) + 0.63 * trunk, at(root, z=-0.002) + 0.88 * trunk
     clay.add(girdle, *chest, (1.02 * wide, 0.96 * wide), (1.42, 1.0, 0.92))
     for shoulder, sign in zip(shoulders, (1.0, -1.0), strict=True):
         breast = at(girdle, x=0.04 * sign, y=-0.036, z=0.027)

@@ -32,12 +32,23 @@ def narrow(body: Body) -> Body:
     return replace(body, lengths=lengths)
 
 
+def low_spine(body: Body) -> Body:
+    """Return a body whose spine has its joint as low as Kinect v1 often has it."""
+    spine, girdle = body.skeleton.parents[body.skeleton.girdle], body.skeleton.girdle
+    lengths = body.lengths.copy()
+    lower = 0.7 * lengths[spine]
+    lengths[spine] -= lower
+    lengths[girdle] += lower
+    return replace(body, lengths=lengths)
+
+
 BODIES = {
     "v1": standard_body(KINECT_V1),
     "v2": standard_body(KINECT_V2),
     "child": standard_body(KINECT_V2, height=1.1),
     "heavy": standard_body(KINECT_V1, height=1.7, mass=130.0),
     "narrow": narrow(standard_body(KINECT_V2)),
+    "low spine": low_spine(standard_body(KINECT_V1)),
     **{
         f"random {seed}": random_body(KINECT_V2, np.random.default_rng(seed))
         for seed in range(2)
@@ -110,6 +121,17 @@ def test_neighbors_move_nearly_together(body: Body) -> None:
     np.put_along_axis(dense, skin.segments, skin.weights, axis=1)
     a, b = edges(skin).T
     assert 0.5 * np.abs(dense[a] - dense[b]).sum(axis=1).max() < 0.5
+
+
+def test_the_trunk_keeps_its_shape_wherever_the_spine_has_its_joint() -> None:
+    usual, low = (skin_of(BODIES[name]) for name in ("v1", "low spine"))
+    for height in (1.0, 1.1, 1.2, 1.3):
+        deep = []
+        for skin in (usual, low):
+            near = np.abs(skin.points[:, 1] - height) < 0.012
+            trunk = skin.points[near & (np.abs(skin.points[:, 0]) < 0.15)]
+            deep.append(np.ptp(trunk[:, 2]))
+        assert deep[1] == pytest.approx(deep[0], rel=0.02)
 
 
 @pytest.mark.parametrize("degrees", [60.0, 100.0, 140.0])
