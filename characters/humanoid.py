@@ -36,11 +36,6 @@ _PASSIVE_DAMPING = 10.0  # 1/s
 # Turning a segment about its axis also turns its descendants, which lie at an angle:
 # the gains of the torque are for this share of its inertia across the axis. A guess.
 _TWIST_INERTIA = 0.1
-# Two hands press on a prop between them about as hard as one on the handle of a heavy
-# shopping bag, and fingers reach around a corner. Both are guesses.
-_GRIP = 100.0  # N
-_REACH = 0.03  # m
-
 # Groups of parts, and the groups with which each collides.
 _TRUNK = "Spine SpineMid ShoulderCenter SpineShoulder Neck Head KneeLeft KneeRight"
 _GROUPS = {
@@ -97,19 +92,6 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     world.add_site(name="world")
     _add_bodies(spec, body)
     _add_pulls(spec, body, tracking or Tracking())
-    # The hands have no fingers to hold a prop. Instead, adhesion presses them to
-    # whatever is within reach while the control is 1.
-    for hand in ("HandLeft", "HandRight"):
-        spec.geom(hand).gap = _REACH
-        spec.add_actuator(
-            name=f"grip:{hand}",
-            trntype=mujoco.mjtTrn.mjTRN_BODY,
-            target=hand,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            gainprm=[_GRIP] + [0.0] * 9,
-            ctrllimited=True,
-            ctrlrange=[0.0, 1.0],
-        )
     for joint in body.skeleton.joints:
         target = world.add_body(name=f"target:{joint}", mocap=True)
         target.add_site(name=f"target:{joint}")

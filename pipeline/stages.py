@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinefilter.characters import Body, Origin, Skeleton, Tracking
-from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -36,6 +36,7 @@ from .progress import Progress
 from .reliability import measure_body, measure_reference, rest_reference
 from .target.floor import find_placement
 
+_SEEN = 0.3  # reliability of a hand that is seen well enough to let go. A guess.
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
 CHUNK = 4096
 """Frames processed at a time, so that an hour's take fits into a gigabyte."""
@@ -332,8 +333,13 @@ class Physics(Stage):
             # Props stay where they are, except for the first frame.
             self.character.start(positions, rotations, reset_props=first)
         else:
-            target, stands = (positions, rotations), draft.stands
-            draft.reset = not self.character.step(*target, draft.elapsed, stands=stands)
+            draft.reset = not self.character.step(
+                positions,
+                rotations,
+                draft.elapsed,
+                stands=draft.stands,
+                seen=_seen_hands(draft),
+            )
         draft.positions = self.character.positions
         draft.rotations = self.character.rotations
         draft.external_force = self.character.external_force
@@ -345,6 +351,7 @@ class Physics(Stage):
             draft.time,
             *_placed(draft, place),
             stands=draft.stands,
+            seen=_seen_hands(draft),
             frames=progress(self.name, len(draft.time)),
         )
         draft.positions, draft.rotations = result.positions, result.rotations
@@ -357,6 +364,12 @@ class Physics(Stage):
 
     def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
         return None if self._scene is None else find_placement(positions, skeleton)
+
+
+def _seen_hands(draft: Draft) -> Flags:
+    """Return whether the sensor saw each hand (left, right) well, shape (2,)."""
+    hands = draft.reliability[..., draft.skeleton.sides("Hand")]
+    return np.asarray(hands > _SEEN)
 
 
 def _placed(draft: Draft, place: HeadingFrame | None) -> tuple[Array, Array]:

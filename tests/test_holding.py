@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
+from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
@@ -75,16 +77,58 @@ def test_hands_let_go_when_they_are_to_part_and_not_when_they_tremble(
     scene = tmp_path / "parcel.xml"
     scene.write_text(PARCEL)
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
-    apart = np.append(np.linspace(0.25, touch, 40), [touch + 0.02, touch + 0.1])
+    apart = np.append(np.linspace(0.25, touch, 40), [touch + 0.02] + [touch + 0.1] * 9)
     positions, rotations = reaching(apart, np.full(len(apart), 1.0))
     character = PhysicsFilter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
-    grips = []
+    assert character.grasp is not None
+    holds = []
     for posture, turned in zip(positions[1:], rotations[1:], strict=True):
         character.step(posture, turned, 1 / 30, stands=np.ones(2, dtype=bool))
-        grips.append(character.data.actuator("grip:HandLeft").ctrl[0])
-    # As they come, as they hold, as they tremble, as they are to be 20 cm wider apart.
-    np.testing.assert_array_equal([grips[0], *grips[-3:]], [0.0, 1.0, 1.0, 0.0])
+        holds.append(character.grasp.held is not None)
+    # As they come, as they hold, as they tremble, when they have parted by 20 cm.
+    assert [holds[0], *holds[38:41], holds[-1]] == [False, True, True, True, False]
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_hidden_hands_keep_what_they_hold(tmp_path: Path, seen: bool) -> None:
+    scene = tmp_path / "parcel.xml"
+    scene.write_text(PARCEL)
+    touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
+    apart = np.append(np.linspace(0.25, touch, 40), np.linspace(touch, 0.3, 40))
+    positions, rotations = reaching(apart, np.full(len(apart), 1.0))
+    character = PhysicsFilter(BODY, scene=scene)
+    character.start(positions[0], rotations[0])
+    assert character.grasp is not None
+    for k in range(1, len(apart)):
+        hands = np.array([seen or k < 40] * 2)
+        character.step(positions[k], rotations[k], 1 / 30, seen=hands)
+    assert (character.grasp.held is not None) is not seen
+
+
+@pytest.mark.parametrize("seed", [203, 208])
+def test_a_mimed_lift_lifts_the_box_and_puts_it_down(seed: int) -> None:
+    take = simulate("box", "lift_box", seed=seed).take
+    result = clean(take, CleanConfig(scene="box"))
+    (box,) = (p for p in result.clip.props if p.name == "box")
+    height = box.positions[:, 1]
+    assert height.max() > 0.9
+    assert 0.14 < height[-1] < 0.22  # on the floor, upright or on its side
+    lowest = np.abs(matrix_from_wxyz(box.rotations)[:, 1]) @ [0.2, 0.15, 0.15]
+    assert (height - lowest).min() > -0.01
+    plain, held = clean(take).stages["physics"], result.stages["physics"]
+    assert held.skate_mm_per_frame < plain.skate_mm_per_frame + 0.5
+
+
+def test_hands_far_from_props_stay_the_performers() -> None:
+    take = simulate("box", "wave", seed=1).take
+    body = clean(take).clip.body
+    character = PhysicsFilter(body, scene="box")
+    assert character.grasp is not None
+    rest = body.rest_positions
+    for _ in range(3):
+        target = character.grasp.target(rest, np.zeros((len(rest), 4)), 1 / 30)
+        assert target[0] is rest
 
 
 def test_who_sits_rests_on_the_chair_and_does_not_sink_in() -> None:
@@ -97,7 +141,7 @@ def test_who_sits_rests_on_the_chair_and_does_not_sink_in() -> None:
     assert 0.45 < hips[1] < 0.75  # whose top is at 0.45 m
 
 
-def test_the_grip_of_a_hand_is_no_external_force(tmp_path: Path) -> None:
+def test_the_weight_of_what_is_held_is_no_external_force(tmp_path: Path) -> None:
     scene = tmp_path / "parcel.xml"
     scene.write_text(PARCEL)
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
@@ -109,12 +153,7 @@ def test_the_grip_of_a_hand_is_no_external_force(tmp_path: Path) -> None:
         character.step(
             positions[k], rotations[k], 1 / 30, stands=np.ones(2, dtype=bool)
         )
-    assert character.data.ctrl[character._grips].all()
-    character.model.actuator_gainprm[character._grips[0], 0] = 0.0  # one hand alone
-    for _ in range(30):
-        character.step(
-            positions[-1], rotations[-1], 1 / 30, stands=np.ones(2, dtype=bool)
-        )
+    assert character.grasp is not None and character.grasp.held is not None
     # At rest, the last substep says what all of them do. The feet press on the floor.
     pressed = -character.data.xfrc_applied[:, 2].sum()
     pulls = character.data.actuator_force[: 3 * len(KINECT_V1)].reshape(-1, 3)

@@ -166,13 +166,15 @@ class PhysicsFilter(PulledCharacter):
         rotations: Array,
         *,
         stands: Flags | None = None,
+        seen: Flags | None = None,
         frames: Iterable[int] | None = None,
     ) -> PhysicsResult:
         """Pull the character through a whole motion; it restarts after long gaps.
 
         Time stamps [s] increase strictly, shape (T,); targets are as in ``step``, with
         a leading axis T. ``stands`` says whether each foot (left, right) bears weight,
-        shape (T, 2). ``frames`` yields 0 to T - 1, for example for a progress bar.
+        ``seen`` whether the sensor sees each hand, both of shape (T, 2). ``frames``
+        yields 0 to T - 1, for example for a progress bar.
         """
         count = len(time)
         check_target(positions, rotations)
@@ -193,11 +195,14 @@ class PhysicsFilter(PulledCharacter):
                 # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
-            elif self.compliance is None:
+            elif self.compliance is None and self.grasp is None:
                 trace.reset[k] = not self._follow(moves[k % _CHUNK], feet)
             else:  # which changes the targets
                 gained = accelerations[k]
-                good = self.step(*target, dt, acceleration=gained, stands=feet)
+                hands = None if seen is None else seen[k]
+                good = self.step(
+                    *target, dt, acceleration=gained, stands=feet, seen=hands
+                )
                 trace.reset[k] = not good
             result[k], roots[k] = self.data.xquat[self._bodies], self.data.qpos[:3]
             trace.external_force[k] = self.external_force

@@ -25,6 +25,8 @@ from kinefilter.pipeline.target.floor import clearances, floor_penetration
 from kinefilter.scenes import load_scene
 
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
+from .grasp import Grasp
+from .holdable import add_ties
 from .momentum import Momentum
 from .moves import Move, MovePlanner
 from .stuck_limbs import StuckLimbs
@@ -37,7 +39,6 @@ _LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
 _TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
-_OPENING = 0.08  # m by which hands have to open beyond what they hold to let it go
 _LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
 
 
@@ -78,6 +79,7 @@ class PulledCharacter:
             spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         else:
             spec = load_scene(scene, body, tracking=tracking)
+            add_ties(spec)
         extend(spec)
         self.model = model = spec.compile()
         self.data = mujoco.MjData(model)
@@ -101,11 +103,11 @@ class PulledCharacter:
         targets = [model.body(f"target:{name}").id for name in joints]
         self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")
-        self._hands = self._bodies[self._palms]
-        self._grips = [model.actuator(f"grip:{joints[j]}").id for j in self._palms]
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         self._props = np.isin(model.body_rootid, free[free != root])
         self._movable = bool(self._props.any())
+        grasp = Grasp(model, self.data, body)
+        self.grasp = grasp if grasp.props else None
         self._weight = float(body.mass * GRAVITY)
         self._momentum = Momentum(self.data, self._sites, joint_masses(body), root)
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
@@ -141,6 +143,8 @@ class PulledCharacter:
         self._momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
+        if self.grasp is not None:
+            self.grasp.start()
         self._pushes: list[tuple[int, Array, float]] = []
         if self.compliance is not None:
             self.limp &= not self.compliance.fallen
@@ -169,13 +173,15 @@ class PulledCharacter:
         *,
         acceleration: Array | None = None,
         stands: Flags | None = None,
+        seen: Flags | None = None,
     ) -> bool:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
         Afterwards ``positions``, ``rotations`` and ``root`` are those of the new pose.
         The acceleration of the target [m/s^2], shape (J, 3), is by default that of the
         last two steps, half a frame late. ``stands`` says whether each foot (left,
-        right) bears weight; by default none does, and the pulls carry the body.
+        right) bears weight; by default none does, and the pulls carry the body. What
+        is held stays in hands that the sensor has not ``seen``, shape (2,).
         Raises InputError if the target is not finite or no time passes.
         """
         check_target(positions, rotations)
@@ -183,6 +189,12 @@ class PulledCharacter:
             raise InputError(f"dt is {dt:g} s; give the time since the last step, > 0")
         if (gives := self.compliance) is not None:
             positions, rotations = self._give_way(gives, positions, rotations, dt)
+        if self.grasp is not None:
+            if self._yields:
+                self.grasp.start()
+            else:
+                target = self.grasp.target(positions, rotations, dt, seen)
+                positions, rotations = target
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt
         if acceleration is None:
@@ -214,8 +226,9 @@ class PulledCharacter:
         n, ctrl, quats = after_p.size, data.ctrl, data.mocap_quat
         ctrl[n : len(move.forward)] = move.forward[n:]
         stiffness, forward = self._stiffness[:n], move.forward[:n]
-        if self._movable:
-            ctrl[self._grips] = float(self._holds() and not self.limp)
+        if self.grasp is not None and self.grasp.held is not None:
+            forward = forward.copy()
+            forward.reshape(-1, 3)[self._palms, 2] += 0.5 * self.grasp.weight
         updates, substeps = steps_in(dt)
         model.opt.timestep = dt / (updates * substeps)
         model.opt.disableactuator = self._disabled | (self.limp << PULLS)
@@ -273,19 +286,6 @@ class PulledCharacter:
         self.model.dof_damping[:] = self._joint_damping * scale
         return gives.target(positions, rotations, dt)
 
-    def _holds(self) -> bool:
-        """Return True if both hands touch the same prop and are to stay on it."""
-        points, (left, right) = self.data.site_xpos[self._sites], self._palms
-        there = np.linalg.norm(points[left] - points[right])
-        wanted = np.linalg.norm(self._target[0][left] - self._target[0][right])
-        if wanted > there + _OPENING:
-            return False
-        pairs = self.model.geom_bodyid[self.data.contact.geom]
-        pairs = np.concatenate([pairs, pairs[:, ::-1]])
-        pairs = pairs[self._props[pairs[:, 1]]]
-        one, other = (set(pairs[pairs[:, 0] == hand, 1]) for hand in self._hands)
-        return bool(one & other)
-
     def _load_feet(self, move: Move, stands: Flags | None) -> None:
         """Press planted feet on the floor with what moves and carries the body.
 
@@ -296,10 +296,11 @@ class PulledCharacter:
         if all(wanted):
             wanted = [move.left_share, 1.0 - move.left_share]
         most = move.duration / _LOADING_TIME
+        held = 0.0 if self.grasp is None else self.grasp.weight
         for foot, (load, goal) in enumerate(zip(self._load, wanted, strict=True)):
             change = min(max(goal - load, -most), most)
             self._load[foot] = load + change if goal > 0.0 else 0.0
-            pressure = self._load[foot] * move.upward
+            pressure = self._load[foot] * (move.upward + held)
             self.data.xfrc_applied[self._soles[foot], 2] = -pressure
 
     def _diverged(self, target: Array, before: float) -> bool:

@@ -1,0 +1,150 @@
+"""Props that two hands can hold, in MuJoCo's world; points are given y up."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from kinefilter.characters.anthropometry import GRAVITY
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import from_mujoco, to_mujoco
+from kinefilter.characters.rotations import cross, unit
+
+HANDS = ("HandLeft", "HandRight")
+HORIZONTAL = np.array([1.0, 0.0, 1.0])
+UP = np.array([0.0, 1.0, 0.0])
+
+# Guesses.
+_WIDTHS = (0.12, 0.7)  # m: thinner props need one hand, wider ones longer arms
+_ABOVE = 0.6  # of half its height: hands hold it no higher above its center, nor below
+_TOUCH = 0.04  # m across from a face: a hand that touches
+_FACE = 0.6  # of half the face: how far from its place a hand still holds it
+_ALONG = 0.7  # cosine of the angle between a prop's axis and the line of the hands
+_LEVELING = 15.0  # rad/s: natural frequency at which held props turn level
+_WRISTS = 20.0  # N m of both wrists together
+
+
+def add_ties(spec: mujoco.MjSpec) -> None:
+    """Add loose ties of both hands of a character to each movable prop of its scene."""
+    free = mujoco.mjtJoint.mjJNT_FREE
+    names = [joint.parent.name for joint in spec.joints if joint.type == free]
+    for prop in filter(None, names[1:]):  # the first is the character's root
+        for hand in HANDS:
+            spec.add_equality(
+                name=f"hold:{prop}:{hand}",
+                type=mujoco.mjtEq.mjEQ_CONNECT,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                name1=hand,
+                name2=prop,
+                active=False,
+                solref=[0.02, 1.0],
+            )
+
+
+class Holdable:
+    """A movable prop, with a tie to each hand of the character.
+
+    ``palm`` is the distance of the hands' surface from their joints [m].
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, body: int, palm: float
+    ) -> None:
+        self._model, self._data, self._body, self._palm = model, data, body, palm
+        name = model.body(body).name
+        self._ties = [model.equality(f"hold:{name}:{hand}").id for hand in HANDS]
+        self._hands = [model.body(hand).id for hand in HANDS]
+        geoms = np.flatnonzero((model.geom_bodyid == body) & (model.geom_contype != 0))
+        self._geom = int(geoms[np.argmax(model.geom_rbound[geoms])])
+        self._half = model.geom_aabb[self._geom, 3:].copy()
+        ball = mujoco.mjtGeom.mjGEOM_SPHERE
+        self._round = bool(model.geom_type[self._geom] == ball)
+        self.weight = float(model.body_subtreemass[body]) * GRAVITY
+
+    @staticmethod
+    def all(model: mujoco.MjModel, data: mujoco.MjData, palm: float) -> list[Holdable]:
+        """Return all props with ties that are not too small for two hands."""
+        tied = {f"hold:{model.body(k).name}:{HANDS[0]}": k for k in range(model.nbody)}
+        names = [model.equality(k).name for k in range(model.neq)]
+        props = [Holdable(model, data, tied[n], palm) for n in names if n in tied]
+        return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
+
+    @property
+    def center(self) -> Array:
+        """Center of its shape [m], shape (3,)."""
+        return from_mujoco(self._data.geom_xpos[self._geom])
+
+    def extent(self, direction: Array) -> float:
+        """Return its half extent along a unit vector (3,) [m]."""
+        axes = from_mujoco(self._data.geom_xmat[self._geom].reshape(3, 3).T)
+        return float(np.abs(axes @ direction) @ self._half)
+
+    def places(self, hands: Array) -> Array | None:
+        """Return where hands at (2, 3) are to hold it [m], (2, 3); None if nowhere."""
+        along = unit((hands[0] - hands[1]) * HORIZONTAL)
+        axes = from_mujoco(self._data.geom_xmat[self._geom].reshape(3, 3).T)
+        if self._round:
+            axes = along[None]
+        k = int(np.abs(axes @ along).argmax())
+        side = axes[k] * np.sign(axes[k] @ along)
+        if side @ along < _ALONG or not _WIDTHS[0] < 2.0 * self._half[k] < _WIDTHS[1]:
+            return None
+        raised, most = float(hands[:, 1].mean() - self.center[1]), self.extent(UP)
+        raised = 0.0 if self._round else float(np.clip(raised, 0.0, _ABOVE * most))
+        reach = (self._half[k] + self._palm) * np.array([side, -side])
+        return np.asarray(self.center + raised * UP + reach)
+
+    def touched(self, hands: Array) -> bool:
+        """Return True if hands at (2, 3) [m] are where they can hold it."""
+        places = self.places(hands)
+        if places is None:
+            return False
+        away, side = hands - places, unit(places[0] - places[1])
+        across = away @ side
+        along = np.linalg.norm(away - across[:, None] * side, axis=-1)
+        near = _FACE * min(self.extent(UP), self.extent(unit(cross(side, UP))))
+        return bool(np.abs(across).max() < _TOUCH and along.max() < near)
+
+    def tie(self, hands: Array) -> None:
+        """Tie the hands to the faces where they are, at (2, 3) [m]."""
+        data = self._data
+        inward = self._palm * unit(hands[::-1] - hands)
+        for hand, tie, point in zip(
+            self._hands, self._ties, to_mujoco(hands + inward), strict=True
+        ):
+            for body, part in ((hand, 0), (self._body, 3)):
+                turn = data.xmat[body].reshape(3, 3)
+                local = turn.T @ (point - data.xpos[body])
+                self._model.eq_data[tie, part : part + 3] = local
+            data.eq_active[tie] = 1
+        self._lay = data.xmat[self._body].reshape(3, 3)[2].copy()
+
+    def untie(self) -> None:
+        """Let the hands go."""
+        self._data.eq_active[self._ties] = 0
+        self._data.xfrc_applied[self._body] = 0.0
+
+    @property
+    def pulls(self) -> Array:
+        """Force of each tie [N], shape (2,)."""
+        data, kind = self._data, int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        force = data.efc_force * (data.efc_type == kind)
+        return np.array([np.linalg.norm(force[data.efc_id == t]) for t in self._ties])
+
+    @property
+    def supported(self) -> bool:
+        """Whether it touches anything but the character."""
+        model = self._model
+        pairs = model.geom_bodyid[self._data.contact.geom]
+        touched = pairs[(pairs == self._body).any(axis=1)].ravel()
+        roots = model.body_rootid[touched[touched != self._body]]
+        return bool((roots != model.body_rootid[self._hands[0]]).any())
+
+    def turn_level(self) -> None:
+        """Turn it as level as it was when tied, with the torque of both wrists."""
+        data, body = self._data, self._body
+        up, spin = data.xmat[body].reshape(3, 3) @ self._lay, data.cvel[body, :3]
+        turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
+        torque = float(self._model.body_inertia[body].max()) * turning
+        size = float(np.linalg.norm(torque))
+        data.xfrc_applied[body, 3:] = torque * min(1.0, _WRISTS / max(size, 1e-9))

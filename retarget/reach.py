@@ -1,0 +1,85 @@
+"""Hands moved elsewhere: the arms bend to suit, and the trunk follows if it must."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import between, multiply, rotate
+
+from .bent_limb import bent_limb
+
+_STRETCHED = 0.97  # of an arm's length: beyond, the trunk moves. A guess.
+_FARTHEST = 0.5  # m by which the shoulders move at most. A guess.
+_DEEPEST = 0.2  # m of it by which the hips move at most. A guess.
+_ROUNDS = 4  # until both arms reach
+
+
+class Reach:
+    """Moves the hands of postures of one body."""
+
+    def __init__(self, body: Body) -> None:
+        skeleton = self._skeleton = body.skeleton
+        arms = [skeleton.sides(part) for part in ("Shoulder", "Elbow", "Wrist")]
+        legs = [skeleton.sides(part) for part in ("Hip", "Knee", "Ankle")]
+        self._arms, self._legs = np.transpose(arms), np.transpose(legs)
+        self._beyond = [[j, *skeleton.descendants(j)] for j in self._arms[:, 2]]
+        below = [j for hip in self._legs[:, 0] for j in skeleton.descendants(int(hip))]
+        self._upper = np.setdiff1d(np.arange(len(skeleton)), below)
+        hips = [skeleton.root, *self._legs[:, 0]]
+        self._trunk = np.setdiff1d(self._upper, hips)
+
+    def __call__(
+        self, positions: Array, rotations: Array, moves: Array
+    ) -> tuple[Array, Array]:
+        """Return positions (J, 3) and rotations, wxyz, (J, 4) with the hands moved.
+
+        ``moves`` are those of the left and the right hand [m], shape (2, 3). For what
+        the arms do not reach the trunk bends, then the knees, as far as they can; feet
+        stay.
+        """
+        moved, turned = positions.copy(), rotations.copy()
+        wrists = positions[self._arms[:, 2]] + moves
+        self._bow(moved, self._lean(positions, wrists))
+        for leg in self._legs:
+            _bend(moved, positions, leg, positions[leg[2]])
+        for arm, hand, wrist in zip(self._arms, self._beyond, wrists, strict=True):
+            _bend(moved, positions, arm, wrist)
+            moved[hand] = positions[hand] + moved[arm[2]] - positions[arm[2]]
+        ends, starts = self._skeleton.segments, self._skeleton.segment_parents
+        before, after = (p[ends] - p[starts] for p in (positions, moved))
+        turned[ends] = multiply(between(before, after), rotations[ends])
+        return moved, turned
+
+    def _bow(self, moved: Array, lean: Array) -> None:
+        """Move the shoulders: the trunk turns about the hips, which do the rest."""
+        root = moved[self._skeleton.root].copy()
+        spine = moved[self._arms[:, 0]].mean(axis=0) - root
+        turn = between(spine, spine + lean)
+        moved[self._trunk] = root + rotate(turn, moved[self._trunk] - root)
+        moved[self._upper] += _at_most(_DEEPEST, spine + lean - rotate(turn, spine))
+
+    def _lean(self, positions: Array, wrists: Array) -> Array:
+        """Return the move of the shoulders [m] that lets the arms reach, (3,)."""
+        lean, shoulders = np.zeros(3), positions[self._arms[:, 0]]
+        bones = np.diff(positions[self._arms], axis=1)
+        longest = _STRETCHED * np.linalg.norm(bones, axis=-1).sum(axis=-1)
+        for _ in range(_ROUNDS):
+            lines = wrists - shoulders - lean
+            far = np.maximum(np.linalg.norm(lines, axis=-1), 1e-9)
+            share = np.maximum(1.0 - longest / far, 0.0)
+            lean += (share[:, None] * lines).mean(axis=0)
+        return _at_most(_FARTHEST, lean)
+
+
+def _at_most(most: float, vector: Array) -> Array:
+    return np.asarray(vector * (most / max(float(np.linalg.norm(vector)), most)))
+
+
+def _bend(moved: Array, positions: Array, limb: Array, goal: Array) -> None:
+    """Put the end of a limb at its goal; its middle bends as before."""
+    start, middle, end = positions[limb]
+    lengths = np.linalg.norm([middle - start, end - middle], axis=-1)
+    toward = middle - 0.5 * (start + end)
+    moved[limb[1]], moved[limb[2]] = bent_limb(moved[limb[0]], goal, toward, lengths)
