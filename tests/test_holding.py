@@ -51,9 +51,12 @@ def reaching(apart: Array, height: Array) -> tuple[Array, Array]:
     return positions, rotations_from_positions(positions, BODY)
 
 
-def test_two_hands_lift_a_parcel_and_let_it_go(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", ["box", "sphere", "cylinder"])
+def test_two_hands_lift_a_parcel_and_let_it_go(tmp_path: Path, shape: str) -> None:
     scene = tmp_path / "parcel.xml"
-    scene.write_text(PARCEL)
+    size = {"box": "0.1 0.12 0.1", "sphere": "0.12", "cylinder": "0.12 0.1"}[shape]
+    parcel = f'type="{shape}" size="{size}"'
+    scene.write_text(PARCEL.replace('type="box" size="0.1 0.12 0.1"', parcel))
     time = np.arange(180) / 30.0
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
     apart = np.interp(time, [0.0, 1.0, 4.0, 4.5], [0.25, touch, touch, 0.3])

@@ -26,9 +26,10 @@ _LOST = 0.8  # m from their places: hands that were about to grasp gave up
 _SETTLED = 0.3  # m/s: hands that approach more slowly are about to grasp
 _PATIENCE = 1.5  # s in which hands that do not come to touch give up
 _AROUND = 0.05  # m beside a prop, on the way down to its faces
-_REACHING = 15.0  # rad/s: natural frequency at which hands go to their places
+_REACHING = 12.0  # rad/s: natural frequency at which hands go to their places
 _AHEAD = 0.15  # m in front of the hips: nearer hands hang, and hold nothing
-_PARTING = 0.08  # m by which hands part to let go
+_PARTING = 0.08  # m by which hands part to let go, ...
+_DRIFTING = 1.0  # s: ... and not as slowly as this
 _CALM = 0.15  # s in which hands that hold follow what is seen of them
 _FELT = 30.0  # N of a hand, beyond what it holds, at which hands yield
 _FORGETTING = 1.0  # s in which hands return from where they yielded to
@@ -36,6 +37,7 @@ _LIFTED = 0.08  # m above where it was grasped: a prop that is put down when it 
 _RISE = 0.4  # m of a lift over which the prop comes to where the performer has theirs
 _SINK = 0.03  # m by which hands put a prop down lower than they took it up
 _RESTS = 0.25  # m/s: slower hands have put down what they hold
+_LEAVING_TIME = 0.3  # s in which hands stay beside what they let go
 _STRENGTH = 300.0  # N of each hand
 _TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
 _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
@@ -71,7 +73,7 @@ class Grasp:
         self.held: Holdable | None = None
         self._sought: Holdable | None = None
         self._released: Holdable | None = None
-        self._waited = 0.0
+        self._waited = self._leaving = 0.0
         self._away, self._rate = np.zeros((2, 3)), np.zeros((2, 3))
         self._before: Array | None = None
         for prop in self.props:
@@ -96,12 +98,16 @@ class Grasp:
         side = self._side(positions)
         ahead = (palms - positions[self._root]) @ side[1]
         wanted = np.zeros((2, 3))
+        visible = np.ones(2, dtype=bool) if seen is None else seen
         if self.held is None:
             wanted = self._seek(positions, side, velocity, dt)
+            if self._leaving > 0.0:
+                wanted = self._leave(palms, dt)
         if self.held is not None:
-            visible = np.ones(2, dtype=bool) if seen is None else seen
             if self._lets_go(self.held, palms, velocity, visible, ahead, dt):
+                self._beside = self._now
                 self._release(self.held)
+                self._leaving = _LEAVING_TIME
             else:
                 wanted = self._carry(self.held, palms, side, visible, dt) - palms
         self._move(wanted, dt)
@@ -199,6 +205,15 @@ class Grasp:
         prop.untie()
         self.held, self._released, self._waited = None, prop, 0.0
 
+    def _leave(self, palms: Array, dt: float) -> Array:
+        """Return the moves (2, 3) of hands that first go aside from what they put down.
+
+        From there they go to where the performer's are.
+        """
+        self._leaving -= dt
+        outward = unit(self._beside - self._beside.mean(axis=0))
+        return np.asarray(self._beside + _AROUND * outward - palms)
+
     def _lets_go(
         self,
         prop: Holdable,
@@ -213,14 +228,15 @@ class Grasp:
         if seen.all():
             gap = float(np.linalg.norm(palms[0] - palms[1]))
             self._gap += (gap - self._gap) * min(dt / _CALM, 1.0)
-            self._narrowest = min(self._narrowest, self._gap)
+            slowly = self._narrowest + (self._gap - self._narrowest) * dt / _DRIFTING
+            self._narrowest = min(slowly, self._gap)
             opens = self._gap > self._narrowest + _PARTING
-        hang = bool(seen.any()) and float(ahead[seen].mean()) < _AHEAD
+            opens |= float(ahead.mean()) < _AHEAD
         self._lifted |= prop.center[1] > self._rested_at + _LIFTED
         slow = float(np.linalg.norm(velocity.mean(axis=0))) < _RESTS
         self._torn = self._torn + dt if prop.pulls.max() > _STRENGTH else 0.0
-        put_down = self._lifted and slow and prop.supported
-        return opens or hang or put_down or self._torn > _TEARING_TIME
+        put_down = self._lifted and slow and prop.rests
+        return opens or put_down or self._torn > _TEARING_TIME
 
     def _carry(
         self, prop: Holdable, palms: Array, side: Array, seen: Flags, dt: float

@@ -19,6 +19,7 @@ _WIDTHS = (0.12, 0.7)  # m: thinner props need one hand, wider ones longer arms
 _ABOVE = 0.6  # of half its height: hands hold it no higher above its center, nor below
 _TOUCH = 0.04  # m across from a face: a hand that touches
 _FACE = 0.6  # of half the face: how far from its place a hand still holds it
+_SLACK = 0.01  # m below a prop: nearer things support it
 _ALONG = 0.7  # cosine of the angle between a prop's axis and the line of the hands
 _LEVELING = 15.0  # rad/s: natural frequency at which held props turn level
 _WRISTS = 20.0  # N m of both wrists together
@@ -139,6 +140,19 @@ class Holdable:
         touched = pairs[(pairs == self._body).any(axis=1)].ravel()
         roots = model.body_rootid[touched[touched != self._body]]
         return bool((roots != model.body_rootid[self._hands[0]]).any())
+
+    @property
+    def rests(self) -> bool:
+        """Whether its center is above something that supports it."""
+        if not self.supported:
+            return False
+        height, down = self.extent(UP) + _SLACK, to_mujoco(-UP)
+        # From beneath it, as rays also hit what they start in.
+        start = to_mujoco(self.center - (height - 2.0 * _SLACK) * UP)
+        found = np.zeros(1, dtype=np.int32)
+        own = self._body
+        far = mujoco.mj_ray(self._model, self._data, start, down, None, 1, own, found)
+        return 0.0 <= far < 3.0 * _SLACK
 
     def turn_level(self) -> None:
         """Turn it as level as it was when tied, with the torque of both wrists."""

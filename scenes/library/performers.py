@@ -23,7 +23,7 @@ from .exercises import EXERCISES
 from .gaits import GAITS, TURNS, Area, gait
 from .gestures import GESTURES
 from .poses import LEFT, RIGHT, Pose, Rng, Score, within_ranges
-from .prop_motions import PROP_MOTIONS
+from .prop_motions import PROP_MOTIONS, TASKS
 from .puppet import Puppet
 from .sports import SPORTS
 from .stances import stance
@@ -81,7 +81,7 @@ def perform(
     world, facing +z, or with ``within`` at the start of its loop.
 
     Args:
-        name: One of MOTIONS.
+        name: One of MOTIONS, or of TASKS, which fit one scene.
         body: The performer's body, on any skeleton kinefilter knows.
         seed: Determines style, tempo and sides; the same seed gives the same arrays.
         fps: Frames per second.
@@ -92,7 +92,7 @@ def perform(
     Raises:
         InputError: There is no motion with that name.
     """
-    check_choice(name, MOTIONS, "motion")
+    check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
     puppet = Puppet(body)
     length = rng.uniform(5.0, 9.0)
@@ -105,7 +105,7 @@ def perform(
         tilt = float(rng.normal(*_TRUNK_TILT))
         base = base.leaning(back=-float(ahead), pelvis=tilt)
         base = _varied(name, puppet, base, rng)
-        time, pose = _SCRIPTS[name](puppet, rng, base, length).sample(fps)
+        time, pose = (_SCRIPTS | TASKS)[name](puppet, rng, base, length).sample(fps)
     pose = within_ranges(_swaying(pose, time, rng))
     pose = clear_arms(puppet, pose, fps)
     return _motion(name, puppet, time, pose)

@@ -6,9 +6,13 @@ a basketball, a chair, an office desk. The hands are where the object would be.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import about_y, rotate
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
@@ -48,6 +52,53 @@ def _lift_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             score.to(0.9, puppet.reach_both(other, spot, _DOWN)).hold(0.2)
         score.to(0.9, hold).to(u(0.9, 1.4), low).hold(0.1).to(u(0.8, 1.3), base)
     return score
+
+
+def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Lift a box from the floor, step to a low table on the right, and put it there."""
+    score, u = Score(base).hold(0.2), rng.uniform
+    for side in (LEFT, RIGHT):
+        base = base.with_foot(side, knee_out=u(0.05, 0.3))
+    half, grip = u(0.14, 0.24) * puppet.scale, u(0.16, 0.35) * puppet.scale
+    low = _crouch(puppet, base, u(0.15, 0.35), u(0.8, 1.2))
+    ahead = float(low.ankle[:, 2].mean()) + u(0.34, 0.42) * puppet.scale
+    for side, x in ((LEFT, half), (RIGHT, -half)):
+        low = puppet.put_hand_world(low, side, (x, grip, ahead), (1.0, 0.2, -0.2))
+    near = np.array([half / puppet.scale, u(-0.42, -0.3), 0.33])
+    hold = puppet.reach_both(base.leaning(spine=-0.08), near, _DOWN)
+    score.to(u(0.9, 1.4), low).hold(0.2).to(u(0.9, 1.4), hold).hold(u(0.2, 0.5))
+    # Two steps of each foot, the right one first.
+    pose, turn, way = hold, -u(1.1, 1.3), np.array([-0.36, 0.0, 0.2])
+    center = base.ankle.mean(axis=0)
+    for step in range(4):
+        side, share = (RIGHT, LEFT)[step % 2], (step // 2 + 1) / 2.0
+        heading = rotate(about_y(share * turn), base.ankle[side] - center)
+        spot = center + share * way + heading
+        to = base.root + (step + 1) / 4.0 * way
+        pelvis = base.pelvis + [(step + 1) / 4.0 * turn, 0.0, 0.0]
+        air = pose.stepping(side, spot, 0.06 * puppet.scale)
+        middle = 0.5 * (pose.root + to)
+        score.to(u(0.28, 0.4), replace(air, root=middle, pelvis=pelvis))
+        pose = pose.with_foot(side, ankle=spot, yaw=share * turn, heel=0.0)
+        pose = replace(pose, root=to, pelvis=pelvis)
+        score.to(u(0.28, 0.4), pose)
+    score.hold(u(0.1, 0.3))
+    # As high as the table and a hand on the side of a box on it.
+    table, across = pose.root + 0.48 * puppet.scale * _ahead(turn), _ahead(turn + 1.57)
+    table[1] = u(0.55, 0.68)
+    put = _crouch(puppet, pose, 0.1, 0.0)
+    bend = replace(put, spine=put.spine + [u(0.35, 0.5), 0.0, 0.0])
+    for side, sign in ((LEFT, 1.0), (RIGHT, -1.0)):
+        place = table + sign * half * across
+        bend = puppet.put_hand_world(bend, side, place, (1.0, 0.2, -0.2))
+    score.to(u(0.9, 1.3), bend).hold(0.25)
+    rest = replace(pose, arm=base.arm, elbow=base.elbow, spine=base.spine)
+    return score.to(u(0.8, 1.2), rest).hold(max(length - score.duration, 0.3))
+
+
+def _ahead(yaw: float) -> Array:
+    """Return the horizontal direction of a heading [rad], shape (3,)."""
+    return np.array([np.sin(yaw), 0.0, np.cos(yaw)])
 
 
 def _flip_chart(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
@@ -220,3 +271,6 @@ PROP_MOTIONS: dict[str, Script] = {
     "office": _office,
 }
 """Motions with an imaginary object, by name."""
+
+TASKS: dict[str, Script] = {"store_box": _store_box}
+"""Motions that fit one scene, and are in no database and no training data."""

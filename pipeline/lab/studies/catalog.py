@@ -12,6 +12,7 @@ from kinefilter.pipeline.formats import atomic_path
 
 from . import chiang, detection, liu, method_comparison, shum, tracker_studies, wang
 from .cleaned_takes import cleaned_takes
+from .held_box import held_box
 from .speed import million_postures, speed
 from .study import Options, Study
 
@@ -31,6 +32,7 @@ STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
     ),
     "failures": (detection.failures, {"count": 2, "movements": 1}),
     "reliability": (detection.reliability, {"takes": 1, "movements": 1}),
+    "held-box": (held_box, {"count": 1}),
     "speed": (speed, {"rounds": 1}),
     "million-postures": (million_postures, {"values": 2, "people": 1}),
     "shum-tables-1-2": (shum.shum_tables_1_2, {"people": 1, "takes": 1}),

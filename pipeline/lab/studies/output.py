@@ -26,6 +26,7 @@ from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
 
@@ -44,6 +45,7 @@ _LEVEL_NAMES = 6  # group names that fit side by side without rotation
 
 _ARM_LENGTH = 2.6  # s, of the animation of a hidden arm
 _OTHERS = 4  # one in this many clips of other people trains the prior
+_CARRIER = 5012  # seed of the performer who carries a box
 _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 _TIMEOUT = 600.0  # s for the script, a guess: ten times what it needs
 _PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
@@ -171,6 +173,9 @@ def make_pictures(
     try:
         _animate(path, progress)
         yield f"wrote {path}"
+        path = folder / "held_box.gif"
+        _carry_a_box(path, progress)
+        yield f"wrote {path}"
         if data is not None:
             path = folder / "hidden_arm.gif"
             _hide_an_arm(path, data, progress)
@@ -190,6 +195,19 @@ def _animate(path: Path, progress: Progress) -> None:
         clip = Path(folder) / "clip.npz"
         write_clip(clean(read_take(sample)).clip, clip)
         look = Look(size=_SIZE, fps=_RATE, compare=sample)
+        render_clips([clip], path, look, progress=progress)
+
+
+def _carry_a_box(path: Path, progress: Progress) -> None:
+    """Write an animation of a mimed lift: the box goes onto the table."""
+    from kinefilter.pipeline.look.options import Look
+    from kinefilter.pipeline.look.video import render_clips
+
+    take = simulate("box", "store_box", seed=_CARRIER).take
+    with tempfile.TemporaryDirectory() as folder:
+        clip = Path(folder) / "clip.npz"
+        write_clip(clean(take, CleanConfig(scene="box")).clip, clip)
+        look = Look(size=_SIZE, fps=_RATE, start=0.8, scene="box")
         render_clips([clip], path, look, progress=progress)
 
 
