@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -119,13 +120,14 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
     absent = claims.Claim(**{**vars(CLAIM), "row": "three"})
     monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM, recorded, absent])
     (tmp_path / "small.csv").write_text("what,cm\none,0.503\ntwo,0.9\n", "utf-8")
-    one, two, three = claims.judge(tmp_path, recordings=True)
+    one, two, three = claims.judge(tmp_path, ["small"], recordings=True)
     assert (one.measured, one.held, one.words) == (0.503, True, "yes")
     assert (two.measured, two.held, two.words) == (0.9, False, "no")
     assert (three.measured, three.held) == (None, False)
-    two = claims.judge(tmp_path, recordings=False)[1]
+    two = claims.judge(tmp_path, ["small"], recordings=False)[1]
     assert (two.held, two.words) == (None, "not measured: no recordings")
-    quick = claims.judge(tmp_path, recordings=True, quick=True)
+    assert claims.judge(tmp_path, ["other"], recordings=True) == []
+    quick = claims.judge(tmp_path, ["small"], recordings=True, quick=True)
     assert [verdict.held for verdict in quick] == [None, None, None]
 
 
@@ -169,6 +171,9 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     assert main([*arguments, "--quick"]) == 0  # not of the same making
     assert "not judged" in capsys.readouterr().out
     assert made_of == ["small", "small"]
+    assert main(["reproduce", "small", "-o", str(tmp_path / "one")]) == 0
+    monkeypatch.setattr(claims, "read_claims", lambda: [replace(CLAIM, figure="0.60")])
+    assert main(["reproduce", "small", "-o", str(tmp_path / "one")]) == 1
 
 
 def test_the_fingerprint_changes_with_what_is_measured(tmp_path: Path) -> None:

@@ -68,6 +68,30 @@ def test_the_sdist_and_the_wheel_made_of_it_hold_every_file(tmp_path: Path) -> N
     assert (code - {door}) | {"kinefilter/__init__.py"} <= installed
 
 
+def test_every_data_file_has_an_origin_and_every_dependency_a_license() -> None:
+    text = (ROOT / "LICENSES.md").read_text(encoding="utf-8")
+    data, dependencies = text.split("\n## ")[2:]
+    cells = [line.split("|")[1] for line in data.splitlines() if line.startswith("|")]
+    named = [name for cell in cells for name in re.findall(r"`(.+?)`", cell)]
+    found = {name: set(ROOT.glob(name)) for name in named}
+    assert all(found.values()), found
+    shipped = {
+        path
+        for pattern in CONFIG["tool"]["setuptools"]["package-data"]["*"]
+        for folder in {path.parent for path in SOURCES}
+        for path in folder.glob(pattern)
+        if path.suffix not in (".md", ".typed")
+    }
+    assert shipped == set().union(*found.values())
+    assert not [name for name in named if name.endswith("*.npz")]
+    extras = CONFIG["project"]["optional-dependencies"]
+    wanted = [CONFIG["project"]["dependencies"]]
+    wanted += [extras[extra] for extra in extras.keys() - {"test", "release"}]
+    packages = {re.split(r"[^\w-]", one)[0] for group in wanted for one in group}
+    listed = [line.split("|")[1] for line in dependencies.splitlines() if "|" in line]
+    assert packages <= set(re.findall(r"[\w-]+", " ".join(listed)))
+
+
 def test_every_python_and_system_that_is_promised_is_tested() -> None:
     yaml = pytest.importorskip("yaml")
     text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")

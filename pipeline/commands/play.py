@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -65,7 +66,7 @@ class Play:
         check_address(self.bind, self.port)
         check_writable(self.save)
         keep(self.save, self.take)
-        try:
+        with suppress(KeyboardInterrupt):  # the regular way to quit
             ground = Playground(
                 self._motion(self.take or SAMPLE), self.scene, self.tracking
             )
@@ -76,8 +77,6 @@ class Play:
                 if self.open:
                     webbrowser.open(player.address)
                 player.run()
-        except KeyboardInterrupt:
-            pass  # the regular way to quit
         return 0
 
     def _motion(self, path: Path) -> Clip:

@@ -85,7 +85,7 @@ class View:
             raise InputError("nothing to view; give a take or a clip")
         save = self.config.edits or _edits_beside(self.motion[0])
         self._check(save)
-        try:
+        with suppress(KeyboardInterrupt):  # the regular way to quit
             drawing, again = self._drawing(EditsFile(save).read())
             drawing, again = self._compared(drawing, again)
             with opened_server(self.bind, self.port) as server:
@@ -95,8 +95,6 @@ class View:
                 if self.open:
                     webbrowser.open(viewer.address)
                 viewer.run()
-        except KeyboardInterrupt:
-            pass  # the regular way to quit
         return 0
 
     def _run_folder(self, folder: Path) -> int:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -107,15 +107,16 @@ class Verdict:
         return self.claim.name, self.claim.figure, measured, self.words
 
 
-def judge(folder: Path, *, recordings: bool, quick: bool = False) -> list[Verdict]:
-    """Compare every claim with the tables that studies wrote to a folder.
+def judge(
+    folder: Path, studies: Collection[str], *, recordings: bool, quick: bool = False
+) -> list[Verdict]:
+    """Compare the claims of some studies with the tables that they wrote to a folder.
 
     Without ``recordings``, claims that require them are not judged. With ``quick``,
     none are, because the studies ran on a small part of everything.
     """
-    claims = read_claims()
-    names = {claim.study for claim in claims}
-    tables = {name: _cells(folder / f"{name}.csv") for name in names}
+    claims = [claim for claim in read_claims() if claim.study in studies]
+    tables = {name: _cells(folder / f"{name}.csv") for name in studies}
     verdicts = []
     for claim in claims:
         cell = tables[claim.study].get((claim.row, claim.column), "")
