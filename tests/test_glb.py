@@ -153,7 +153,7 @@ def test_it_is_valid_and_three_has_every_joint_where_the_clip_has_it(
     for held in known["held"]:  # nothing moves in the gap
         still = np.subtract(found["frames"][held], found["frames"][held - 1])
         assert np.abs(still).max() < 1e-6
-    shares = np.array(known["reliability"])[kept] / 100.0
+    shares = np.transpose(found["reliability"])[kept] / 100.0
     np.testing.assert_allclose(shares, clip.reliability, atol=1e-6)
 
 

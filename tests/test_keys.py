@@ -117,6 +117,11 @@ def test_an_ordinary_take_keeps_a_fifth_of_its_keys(tmp_path: Path) -> None:
     assert angle < 0.5
     shown = compare(read_clip(tmp_path / "clip.glb"), read_take(sample_path()))
     np.testing.assert_allclose(shown.clip.positions, clip.positions, atol=1e-3)
+    write_clip(clip.at(slice(1)), tmp_path / "still.glb", Export(keys=1.0))
+    once, ten_seconds = (
+        (tmp_path / name).stat().st_size for name in ("still.glb", "clip.glb")
+    )
+    assert once + 6 * (ten_seconds - once) < 1.2e6  # in a minute
 
 
 @every_skeleton
