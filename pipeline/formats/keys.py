@@ -26,11 +26,8 @@ from kinefilter.characters.rotations import (
 from .rig import Rig
 
 _LEVER = 1e-3 / np.radians(0.5)  # m/rad: half a degree counts as a millimeter
-_GROWTH = 0.5
-"""Exponent with which the error allowed to joints grows from the root of a rig to the
-ends of its limbs, as independent errors add up."""
 _APART = 16  # frames between the first keys where two are not enough; halves the time
-_ROUNDS = 3  # of removal; each tries to remove every third key
+_ROUNDS = 6  # of removal; each tries to remove every third key
 _ROUNDING = 1e-6  # m that single precision may lose
 _SHORT = 1e-6  # m; nodes nearer to their parents are at the same place
 
@@ -118,8 +115,8 @@ class _Chain:
         for node, parent in enumerate(rig.parents):
             if parent >= 0 and far[node] and node not in paths:
                 self._children[parent].append(node)
-        self._allowed = (error - _ROUNDING) * _error_shares(rig.parents, far)
-        self._angle = (error - _ROUNDING) / _LEVER
+        self._allowed = error - _ROUNDING
+        self._angle = self._allowed / _LEVER
 
     def put(self, node: int, place: Array) -> None:
         """Put a node at a local position [m], (3,) or (T, 3)."""
@@ -139,7 +136,7 @@ class _Chain:
     def position_errors(self, node: int, places: Array) -> Array:
         """Return the error of each local position, as a multiple of the allowed one."""
         away = self._world_position(node, places) - self._targets[:, node]
-        return np.asarray(np.linalg.norm(away, axis=1) / self._allowed[node])
+        return np.asarray(np.linalg.norm(away, axis=1) / self._allowed)
 
     def rotation_errors(self, node: int, values: Array) -> Array:
         """Return the largest such error of a node's rotation and of its children."""
@@ -149,19 +146,8 @@ class _Chain:
         for child in self._children[node]:
             place = self._positions[:, node] + rotate(now, self._places[child])
             away = np.linalg.norm(place - self._targets[:, child], axis=1)
-            most = np.maximum(most, away / self._allowed[child])
+            most = np.maximum(most, away / self._allowed)
         return np.asarray(most)
-
-
-def _error_shares(parents: tuple[int, ...], far: Flags) -> Array:
-    """Return the share of the error allowed to each node, (N,); 1 for the ends."""
-    depth = far.astype(float)
-    for node, parent in enumerate(parents[1:], start=1):
-        depth[node] += depth[parent]
-    deepest = depth.copy()
-    for node in range(len(parents) - 1, 0, -1):
-        deepest[parents[node]] = max(deepest[parents[node]], deepest[node])
-    return np.asarray((depth / deepest) ** _GROWTH)
 
 
 def _fitted(
@@ -192,7 +178,7 @@ def _fitted(
         kept[::_APART] = True
     kept = filled(kept)
     for start in range(_ROUNDS):
-        tried = np.flatnonzero(kept)[1:-1][start::3]
+        tried = np.flatnonzero(kept)[1:-1][start % 3 :: 3]
         if not len(tried):
             break
         fewer = kept.copy()
