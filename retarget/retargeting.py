@@ -2,6 +2,7 @@
 
 A limb's direction in the target's rest pose and in our T-pose differ by a constant
 rotation. After that, the target's bone rotates like our segment, including twist.
+Twist bones spread the twist along a limb.
 Trunk, shoulders and feet have a different shape on every skeleton, so all rest poses
 count as upright and flat there, and only headings differ.
 """
@@ -26,9 +27,10 @@ from kinefilter.characters.rotations import (
 
 from .bent_limb import bent_limb, rejection
 from .heading_frame import HeadingFrame, floor_frame
-from .rig_map import SIDES
+from .rig_map import BEYOND, SIDES
 from .stance import holding_moves, near_stance, smooth_step
 from .target_rig import TargetRig
+from .twists import twisted
 
 _SEGMENTS = {
     "clavicle": "Shoulder",
@@ -40,7 +42,6 @@ _SEGMENTS = {
     "foot": "Foot",
     "toes": "Foot",
 }
-_ENDS = {"upper arm": "lower arm", "lower arm": "hand", "thigh": "shin", "shin": "foot"}
 _Limb = tuple[str, str, str]
 _ARM: _Limb = ("upper arm", "lower arm", "hand")
 _LEG: _Limb = ("thigh", "shin", "foot")
@@ -149,11 +150,12 @@ class _Motion:
     def posed(self, hips: Array) -> Retargeted:
         """Return the motion of all joints, with the pelvis at ``hips`` [m] (T, 3)."""
         rest, pelvis = self.rig.rest, self.rig.joint("pelvis")
+        turns = self.turns | twisted(self.rig.twists, self.turns)
         rotations = np.empty((len(self.clip), len(rest), 4))
         positions = np.empty((len(self.clip), len(rest), 3))
         for n, parent in enumerate(rest.parents):
             above = IDENTITY if parent < 0 else rotations[:, parent]
-            rotations[:, n] = self.turns.get(n, above)
+            rotations[:, n] = turns.get(n, above)
             if n == pelvis:
                 positions[:, n] = hips
             elif parent < 0:
@@ -290,8 +292,8 @@ def _difference(rig: TargetRig, part: str, body: Body, facing: Array) -> Array:
     if limb == "hand":
         return _difference(rig, f"{side} lower arm", body, facing)
     ours = body.rest_offsets[segment_of(body.skeleton, part)]
-    if limb in _ENDS:
-        theirs = rotate(facing, rig.bone(part, f"{side} {_ENDS[limb]}"))
+    if part in BEYOND:
+        theirs = rotate(facing, rig.bone(part, BEYOND[part]))
         return multiply(between(theirs, ours), facing)
     if limb in ("foot", "toes") and f"{side} toes" in rig.parts:
         theirs = rotate(facing, rig.bone(f"{side} foot", f"{side} toes"))

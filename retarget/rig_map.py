@@ -12,6 +12,11 @@ axes: Directions of two of the bone's own axes in the rest pose, the second as c
     possible: a word (WORDS), three numbers, or ``on``, which points along the bone to
     its first child, or continues from its parent at the end of a chain. ``axes`` at the
     top of the file is for all bones that have none.
+twist_of: Makes it a twist bone, which has only this field, ``parent`` and ``at``: the
+    part whose twist about the parent's segment it shares. This is the part that turns
+    the parent, or the next one along the limb.
+at: Its position on that segment, 0 at the start and 1 at the end, and its share of the
+    twist, where the start of the segment has none.
 
 Maps in ``source_rigs`` describe skeletons from which motion is read. Joints of the
 trunk are named as in Kinect v2. Limbs have only a left side: names on the right begin
@@ -64,7 +69,14 @@ PARTS = ("pelvis", *CHAINS)
 OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
-_FIELDS = {"parent", "turned_by", "offset", "axes"}
+_FIELDS = {"parent", "turned_by", "offset", "axes", "twist_of", "at"}
+_OF_TWISTS = {"parent", "twist_of", "at"}
+BEYOND = {
+    above: part
+    for part, above in CHAINS.items()
+    if above != "pelvis" and not part.endswith("toes")
+}
+"""The next part along a limb, for each part between two joints."""
 WORDS = {
     "left": (1.0, 0.0, 0.0),
     "right": (-1.0, 0.0, 0.0),
@@ -100,6 +112,10 @@ class MapBone:
     files, but not built."""
     axes: Axes | None = None
     """None for the world's axes."""
+    twist_of: str | None = None
+    """Part of the body whose twist it shares; None if it is no twist bone."""
+    at: float = 0.0
+    """Position of a twist bone along its parent's segment, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +198,8 @@ def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
         )
     if parent is not None and not isinstance(parent, str):
         raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
+    if "twist_of" in row or "at" in row:
+        return _twist_bone(name, row, where)
     axes = _axes(row.get("axes"), where) or axes
     if offset is not None:
         numbers = offset if isinstance(offset, list) else []
@@ -195,6 +213,17 @@ def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
     return MapBone(name, parent, part, offset, axes)
 
 
+def _twist_bone(name: str, row: dict[str, Any], where: str) -> MapBone:
+    of, at, parent = (row.get(k) for k in ("twist_of", "at", "parent"))
+    known = isinstance(of, str) and isinstance(parent, str) and set(row) == _OF_TWISTS
+    if not known or type(at) not in (int, float) or not 0.0 <= (at or 0.0) <= 1.0:
+        raise InputError(
+            f"{where}: a twist bone has only a parent, twist_of, a part of the body, "
+            "and at, a number from 0 to 1 along the parent's segment"
+        )
+    return MapBone(name, parent, None, None, None, of, float(at or 0.0))
+
+
 def _check(bones: tuple[MapBone, ...], source: str) -> None:
     names: set[str] = set()
     for bone in bones:
@@ -204,6 +233,15 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
                 "is not listed before it; list every parent before its children"
             )
         names.add(bone.name)
+        if bone.twist_of is not None:
+            (limb,) = [b.part for b in bones if b.name == bone.parent]
+            known = [limb, BEYOND[limb]] if limb in BEYOND else []
+            if bone.twist_of not in known:
+                raise InputError(
+                    f"{source}: bone {shown(bone.name)}: twist_of is "
+                    f"{shown(bone.twist_of)}, expected the part that turns its parent, "
+                    f"one of {', '.join(BEYOND)}, or the next one"
+                )
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
         if count == 0 and part not in OPTIONAL:

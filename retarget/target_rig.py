@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from kinefilter.characters import Body, InputError
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import IDENTITY, wxyz_from_matrix
+from kinefilter.characters.rotations import IDENTITY, unit, wxyz_from_matrix
 
-from .rig_map import CHAINS, OPTIONAL, PARTS, SIDES, WORDS, MapBone, RigMap, listed
+from .rig_map import (
+    BEYOND,
+    CHAINS,
+    OPTIONAL,
+    PARTS,
+    SIDES,
+    WORDS,
+    MapBone,
+    RigMap,
+    listed,
+)
+from .twists import Twist
 
 _ON_FLOOR = 0.1
 """Largest height of the lowest joint above y = 0, in lengths of a leg, at which y = 0
@@ -53,6 +64,8 @@ class TargetRig:
     """Joints that each part turns, parents before children."""
     floor: float
     """Height of the floor [m]."""
+    twists: dict[int, Twist] = field(default_factory=dict)
+    """What turns each twist bone, by index of its joint."""
 
     def joint(self, part: str) -> int:
         """Return the first joint that a part turns."""
@@ -83,7 +96,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     person's; the rest scales with the stature. The soles are at y = 0. An InputError
     says if the map lacks offsets.
     """
-    bones = [bone for bone in rig_map.bones if bone.offset is not None]
+    bones = [b for b in rig_map.bones if b.offset is not None or b.twist_of]
     names = tuple(bone.name for bone in bones)
     for bone in bones:
         if bone.parent is not None and bone.parent not in names:
@@ -100,6 +113,10 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
             )
     above = [bones[n] for n in parents]
     offsets = np.array([_offset(*two, body) for two in zip(bones, above, strict=True)])
+    for n, bone in enumerate(bones):
+        if bone.twist_of:
+            end = BEYOND[bones[parents[n]].part or ""]
+            offsets[n] = bone.at * offsets[[b.part for b in bones].index(end)]
     positions = _chained(offsets, parents)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
@@ -115,7 +132,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     rest = replace(rest, positions=positions, axes_in_bvh=rig_map.axes_in_bvh)
     names = tuple(rig_map.prefix + name for name in names)
     rest = replace(rest, names=names, axes=_axes(bones, rest))
-    return TargetRig(rest, rig.parts, 0.0)
+    return TargetRig(rest, rig.parts, 0.0, rig.twists)
 
 
 def _chained(offsets: Array, parents: list[int]) -> Array:
@@ -144,6 +161,8 @@ def _axes(bones: list[MapBone], rest: RestPose) -> Array | None:
         return None
     rotations = np.tile(IDENTITY, (len(bones), 1))
     for n, bone in enumerate(bones):
+        if bone.twist_of:
+            rotations[n] = rotations[rest.parents[n]]
         if bone.axes is None:
             continue
         # A bone points to its first child; the last of a chain continues its parent.
@@ -188,6 +207,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     rig = TargetRig(rest, _joints_of_parts(rig_map, rest), 0.0)
     _check_chains(rest, rig.parts)
     _check_lengths(rig)
+    rig = replace(rig, twists=_twists(rig_map, rig))
     joints, height = _lowest(rig, body)
     lowest = float(rest.positions[joints, 1].min())
     if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
@@ -195,6 +215,26 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     legs = [body.skeleton.index(f"{j}Left") for j in ("Knee", "Ankle")]
     floor = lowest - height * rig.leg_length / float(body.lengths[legs].sum())
     return replace(rig, floor=floor if rest.lowest is None else min(floor, rest.lowest))
+
+
+def _twists(rig_map: RigMap, rig: TargetRig) -> dict[int, Twist]:
+    """Return what turns the twist bones of a map that the skeleton has."""
+    names, parents = [rig_map.plain(name) for name in rig.rest.names], rig.rest.parents
+    part_of = {bone.name: bone.part for bone in rig_map.bones}
+    turned = {joint for joints in rig.parts.values() for joint in joints}
+    twists = {}
+    for bone in rig_map.bones:
+        name, limb = rig_map.plain(bone.name), part_of.get(bone.parent or "") or ""
+        if bone.twist_of is None or name not in names:
+            continue
+        joint = rig.joint(bone.twist_of)
+        above = parents[joint]
+        while above not in turned:
+            above = parents[above]
+        axis = unit(rig.bone(limb, BEYOND[limb]))
+        share = bone.at - 1.0 if bone.twist_of == limb else bone.at
+        twists[names.index(name)] = Twist(rig.joint(limb), joint, above, axis, share)
+    return twists
 
 
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
@@ -208,7 +248,7 @@ def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
 
 def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
     """Return a bone's offset from its parent [m], shape (3,)."""
-    share, skeleton = np.array(bone.offset), body.skeleton
+    share, skeleton = np.array(bone.offset or (0.0, 0.0, 0.0)), body.skeleton
     segment = {"lower arm": "Elbow", "hand": "Wrist", "shin": "Knee", "foot": "Ankle"}
     side, _, part = (bone.part or "").partition(" ")
     if part == "thigh":  # hips as wide as the person's

@@ -5,8 +5,9 @@
 // FOLDER has node_modules with three, gltf-validator and @pixiv/three-vrm-animation in
 // it. TIMES is a list in JSON, in seconds; without, they are those of the first node's
 // keys. Printed are, as JSON, "issues" (code and place of each), "times", "names" and,
-// for each time, "frames": [x, y, z] of each joint in meters, "extras" of
-// the animation, and of VRMA "bones": how they turn (xyzw), and where the hips are.
+// for each time, "frames": [x, y, z] of each joint in meters, "extras" of the animation,
+// "reliability" unpacked from them, a list for each joint, and of VRMA "bones": how they
+// turn (xyzw), and where the hips are.
 
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
@@ -51,4 +52,16 @@ const bones = vrma && {
 };
 const names = joints.map((joint) => joint.userData.name ?? joint.name);
 const told = issues.messages.map(({ code, pointer }) => `${code} ${pointer}`);
-console.log(JSON.stringify({ issues: told, times, names, frames, bones, extras: clip.userData }));
+const extras = clip.userData;
+const { reliability: packed, joints: columns } = extras.kinefilter;
+const reliability = packed && (await unpacked(packed, columns.length));
+console.log(JSON.stringify({ issues: told, times, names, frames, bones, extras, reliability }));
+
+async function unpacked(text, width) {
+	const compressed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+	const stream = new Blob([compressed]).stream();
+	const inflated = stream.pipeThrough(new DecompressionStream('deflate'));
+	const numbers = Array.from(new Int32Array(await new Response(inflated).arrayBuffer()));
+	const count = numbers.length / width;
+	return Array.from({ length: width }, (_, n) => numbers.slice(n * count, (n + 1) * count));
+}

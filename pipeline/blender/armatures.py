@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import struct
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -160,7 +162,9 @@ def show_reliability(
     armature: Any, extras: dict[str, Any], fps: float, colors: Sequence[Sequence[float]]
 ) -> None:
     """Color bones by mean reliability, and animate it as a property; unknown is 0."""
-    rows = np.delete(np.array(extras["reliability"]), extras["held"], axis=0)
+    packed = zlib.decompress(base64.b64decode(extras["reliability"]))
+    columns = np.frombuffer(packed, "<i4").reshape(len(extras["joints"]), -1)
+    rows = np.delete(columns.T, extras["held"], axis=0)
     shares = np.maximum(rows, 0.0) / 100.0
     points = np.empty((len(shares), 2), dtype=np.float32)
     points[:, 0] = (np.array(extras["time"]) - extras["time"][0]) * fps

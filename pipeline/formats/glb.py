@@ -7,8 +7,10 @@ on VRM's skeleton, with a table of its bones (VRMC_vrm_animation 1.0).
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,12 +41,15 @@ SCALES = {"reliability": 1e2, "external_force": 1e2, **dict.fromkeys(LENGTHS, 1e
 """Factors by which fields of a clip are multiplied before ``extras`` rounds them."""
 PER_KEYFRAME = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
 """Data in ``extras`` with a row for each keyframe, and the fields of a clip."""
+PACKED = np.dtype("<i4")
+"""Type of the numbers in packed data."""
 SMOOTH = "CUBICSPLINE"
 """Interpolation of samplers whose keyframes have tangents."""
 _POINTS, _CORNERS = 34962, 34963  # ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER
 _VRMA = "VRMC_vrm_animation"
 _DECIMALS = 9  # of time stamps [s]
-_LARGEST_INTEGER = 2.0**31  # in ``extras``; no measured value comes near
+_ONE = 2**16 - 1  # of the skin's weights; with bytes, skin would be off by over 1 mm
+_LARGEST_INTEGER = 2**31 - 1  # of PACKED; no measured value comes near
 
 
 def write_glb(
@@ -192,7 +197,10 @@ def _add_person(
         from .keys import sparse_curves  # loads scipy
 
         step, error = 1.0 / clip.fps, export.keys / 1000.0
-        for curve in sparse_curves(rig, glb.stamps, step, paths, turns, error):
+        free = export.tangents == "free"
+        for curve in sparse_curves(
+            rig, glb.stamps, step, paths, turns, error, free=free
+        ):
             glb.bend(first + curve.node, curve)
     if export.rig is None:
         mesh = glb.mesh("Skin", _skin(clip, rig, glb), SKIN_COLOR)
@@ -273,14 +281,16 @@ def _inverse_binds(rig: Rig) -> NDArray[Any]:
 
 def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
     skin = skin_of(clip.body)
-    weights = skin.weights.astype("<f4")
+    weights = np.rint(_ONE * skin.weights)
+    weights[:, 0] = _ONE - weights[:, 1:].sum(axis=1)  # the largest: the sum is 1
     joints = np.where(weights > 0.0, rig.segment_nodes[skin.segments], 0)
     attributes = {
         "POSITION": glb.add(skin.points.astype("<f4"), _POINTS, bounds=True),
         "NORMAL": glb.add(skin.normals.astype("<f4"), _POINTS),
         "JOINTS_0": glb.add(joints.astype("u1"), _POINTS),
-        "WEIGHTS_0": glb.add(weights, _POINTS),
+        "WEIGHTS_0": glb.add(weights.astype("<u2"), _POINTS),
     }
+    glb.lists["accessors"][attributes["WEIGHTS_0"]]["normalized"] = True
     corners = glb.add(skin.triangles.astype("<u2").ravel(), _CORNERS)  # about 9,000
     return {"attributes": attributes, "indices": corners}
 
@@ -302,5 +312,11 @@ def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:
     for name, field in PER_KEYFRAME.items():
         values = getattr(clip, field)[rows] * SCALES.get(field, 1.0)
         whole = np.where(np.isfinite(values), np.rint(values), -1.0)
-        extras[name] = np.minimum(whole, _LARGEST_INTEGER).astype(int).tolist()
+        extras[name] = _packed(np.minimum(whole, _LARGEST_INTEGER))
     return extras | {"held": held}
+
+
+def _packed(whole: Array) -> str:
+    """Return whole numbers (K, ...), a column after the other, compressed, as text."""
+    columns = whole.T.astype(PACKED).tobytes()
+    return base64.b64encode(zlib.compress(columns)).decode()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Clip, InputError, Prop, Shape, standard_body
+from kinefilter.characters import CONTACTS, Clip, InputError, Prop, Shape, standard_body
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import normalize
 
@@ -25,7 +27,7 @@ from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
 _Values = Callable[[int], NDArray[Any]]
-_ERRORS = (ArithmeticError, MemoryError, StopIteration, struct.error)
+_ERRORS = (ArithmeticError, MemoryError, StopIteration, struct.error, zlib.error)
 
 
 def read_glb(path: AnyPath) -> Clip:
@@ -104,10 +106,11 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         samplers[node, what] = animation["samplers"][channel["sampler"]]
     time = np.array(extras["time"], dtype=float)
     held = np.array(extras["held"], dtype=int)
-    kept = np.delete(np.arange(len(extras["state"])), held)
     stamps = glb.key_times(time, time[0])
     # Frames with the same stamp share a keyframe.
-    kept = kept[np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)]
+    keyframes = np.cumsum(np.diff(stamps, prepend=stamps[:1]) > 0.0)
+    count = int(keyframes[-1]) + 1 + len(held)
+    kept = np.delete(np.arange(count), held)[keyframes]
 
     def animated(node: int, what: str) -> Array:
         rows = np.array([nodes[node][what]], dtype=float)
@@ -137,7 +140,7 @@ def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
         shapes = tuple(_shape(part, document, values) for part in parts)
         place = animated(n, "translation"), animated(n, "rotation")
         props.append(Prop(nodes[n]["name"], shapes, *place))
-    return Clip.of(motion, **_provenance(extras, kept), props=tuple(props))
+    return Clip.of(motion, **_provenance(extras, count, kept), props=tuple(props))
 
 
 def _values(document: dict[str, Any], data: bytes, index: int) -> NDArray[Any]:
@@ -152,12 +155,16 @@ def _values(document: dict[str, Any], data: bytes, index: int) -> NDArray[Any]:
     return rows.reshape(-1, width) if width > 1 else rows
 
 
-def _provenance(extras: dict[str, Any], kept: Indices) -> dict[str, Any]:
-    """Return the fields of a clip that are stored in extras, at the frames kept."""
+def _provenance(extras: dict[str, Any], count: int, kept: Indices) -> dict[str, Any]:
+    """Return the fields of a clip in extras of ``count`` keyframes, at those kept."""
+    joints = len(extras["joints"])
     once = PER_CLIP.items()
     values: dict[str, Any] = {f: float(extras[k]) for k, f in once if k in extras}
     for name, field in glb.PER_KEYFRAME.items():
-        rows = np.array(extras[name], dtype=float)[kept]
+        width = {"contacts": len(CONTACTS), "external_force": 1}.get(field, joints)
+        rows = _unpacked(extras[name], count, width)[kept].astype(float)
+        if field == "external_force":
+            rows = rows[:, 0]
         if field in glb.SCALES:
             values[field] = np.where(rows < 0.0, np.nan, rows / glb.SCALES[field])
         elif np.isin(rows, np.arange(256)).all():
@@ -165,6 +172,13 @@ def _provenance(extras: dict[str, Any], kept: Indices) -> dict[str, Any]:
         else:
             raise InputError(f"its {name} are not codes; export it again")
     return values
+
+
+def _unpacked(text: str, count: int, width: int) -> NDArray[Any]:
+    """Return the whole numbers (K, C) that ``write_glb`` packed."""
+    size = count * width * glb.PACKED.itemsize
+    data = zlib.decompressobj().decompress(base64.b64decode(text), size + 1)
+    return np.frombuffer(data, glb.PACKED).reshape(width, count).T
 
 
 def _wxyz(xyzw: Array) -> Array:
