@@ -5,11 +5,13 @@ from .bone_lengths import BoneLengths
 from .hands import Hands
 from .heading_frame import HeadingFrame, find_yaw
 from .orientation import fill_missing_joints, rotations_from_positions
+from .palms import Palms
 
 __all__ = [
     "BoneLengths",
     "Hands",
     "HeadingFrame",
+    "Palms",
     "Standardizer",
     "fill_missing_joints",
     "find_yaw",

@@ -269,7 +269,6 @@ class Bones(Stage):
         body, positions = self._body, draft.positions
         there = self._bones.project(positions[None], draft.bone_weights[None])[0]
         there = self._hands.carried(positions, there, draft.confidence, body)
-        there = self._hands.bent_less(there)
         draft.positions = put_on_floor(there[None], body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
@@ -288,7 +287,7 @@ class Bones(Stage):
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
             there = put_on_floor(bones.project(there, weights), body)
-        draft.positions = put_on_floor(hands.bent_less(there), body)
+        draft.positions = there
 
 
 class Orient(Stage):
