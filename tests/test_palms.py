@@ -30,8 +30,8 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.target.aim_stages import AimHands
 from kinefilter.pipeline.target.floor import to_world
-from kinefilter.pipeline.target.hand_stage import AimHands
 from kinefilter.retarget import Palms
 
 Array = NDArray[np.float64]

@@ -316,14 +316,18 @@ class Orient(Stage):
             prior = None if twist is None else normalize(twist[k].astype(float))
             rotations[k] = rotations_from_positions(positions[k], body, prior)
         draft.rotations, draft.twist = continuous(rotations), None
-        roots = positions[:, draft.skeleton.root]
-        draft.posed = np.empty_like(positions)
-        for k in chunks(len(roots), CHUNK):
-            draft.posed[k] = positions_from_rotations(
-                draft.rotations[k], roots[k], body
-            )
-        heights = draft.posed[..., 1]
-        heights += floor_penetration(heights, clearances(body))[:, None]
+        draft.posed = posed(draft)
+
+
+def posed(draft: Draft) -> Array:
+    """Return joint positions [m] by a take's rotations, above the floor, (T, J, 3)."""
+    roots, body = draft.positions[:, draft.skeleton.root], draft.body
+    joints = np.empty_like(draft.positions)
+    for k in chunks(len(roots), CHUNK):
+        joints[k] = positions_from_rotations(draft.rotations[k], roots[k], body)
+    heights = joints[..., 1]
+    heights += floor_penetration(heights, clearances(body))[:, None]
+    return joints
 
 
 def _feet(draft: Draft) -> tuple[Array, Array, Flags, Body]:
