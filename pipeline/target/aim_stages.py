@@ -15,12 +15,13 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import parts_of
-from kinefilter.characters.rotations import continuous
+from kinefilter.characters.rotations import continuous, slerp
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
 from kinefilter.retarget import Neck, Palms
 
+from .feet import PLANTED
 from .smooth import smooth
 from .target_stages import posed
 
@@ -47,14 +48,32 @@ class _Aim(Stage):
     def step(self, draft: Draft) -> None:
         """Aim in the next frame."""
         filters = [mean.after(draft.elapsed) for mean in self._means]
-        self._aim(draft, self._chains, filters)
+        self._aim_unpinned(draft, self._chains, filters)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Aim in a take."""
         filters = _smoothing(draft.time, self.cutoffs)
-        self._aim(draft, self.chains(draft.body), filters)
+        self._aim_unpinned(draft, self.chains(draft.body), filters)
         draft.rotations = continuous(draft.rotations)
         draft.posed = posed(draft)
+
+    def _aim_unpinned(
+        self, draft: Draft, chains: Neck | Palms, filters: Sequence[_Filter]
+    ) -> None:
+        """Aim, but leave what was pinned by hand where it is."""
+        before, turns = draft.positions, draft.rotations
+        self._aim(draft, chains, filters)
+        for start, *joints in zip(chains.starts, *chains.joints, strict=True):
+            firm = draft.bone_weights[..., joints].max(axis=-1)
+            share = np.clip((firm - 1.0) / (PLANTED - 1.0), 0.0, 1.0)[..., None]
+            if not share.any():
+                continue
+            moved = [start, *draft.skeleton.descendants(start)]
+            here, there = draft.positions[..., moved, :], before[..., moved, :]
+            draft.positions[..., moved, :] = here + share[..., None] * (there - here)
+            draft.rotations[..., moved, :] = slerp(
+                draft.rotations[..., moved, :], turns[..., moved, :], share
+            )
 
     @staticmethod
     @abstractmethod
@@ -93,9 +112,8 @@ class AimHands(_Aim):
 
 
 def _weights(draft: Draft) -> Array:
-    """Return how much each joint counts, (..., J): pinned ones far more than others."""
-    firm = np.where(draft.bone_weights > 1.0, draft.bone_weights, 0.0)
-    return np.maximum(np.maximum(draft.reliability, firm), _LEAST_WEIGHT)
+    """Return how much each joint counts, shape (..., J)."""
+    return np.maximum(draft.reliability, _LEAST_WEIGHT)
 
 
 class _Mean:
