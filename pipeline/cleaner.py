@@ -41,6 +41,7 @@ from .stages import (
     Stage,
     Standardize,
 )
+from .target.aim_stages import AimHands, AimHead
 from .target.floor import to_world
 from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
@@ -122,6 +123,8 @@ class Cleaner:
             Feet(config),  # hold planted feet in place, lift stepping ones
             Bones(),  # restore the person's own segment lengths
             Orient(),  # compute a rotation for every segment
+            AimHead(),  # aim the head by all joints above the shoulders
+            AimHands(),  # aim hands by all their joints, twist forearms by the thumbs
             Physics(config, tracking),  # pull a simulated character through the motion
         )
         enabled = {"physics": config.physics, "reconstruct": config.reconstruct}

@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import IDENTITY, between, rotate, unit
-
-_FREE, _MOST = np.radians(40.0), joint_range("HandLeft") - np.radians(1.0)
-"""Bend of a wrist [rad] up to which it stays as it is, and which it never reaches: just
-inside the humanoid's range. People use 54 to 60 degrees of theirs (Ryu et al. 1991, J.
-Hand Surg. 16A); where trackers report more, they have mostly lost the hand."""
-_FOLDED = 0.05  # sine of the bend below which a hand that points back has no direction
+from kinefilter.characters.rotations import between, rotate, unit
 
 
 class Hands:
@@ -74,28 +67,3 @@ class Hands:
                 part > 0.0, turned, positions[..., joints, :]
             )
         return straight
-
-    def bent_less(self, positions: Array) -> Array:
-        """Return postures (..., J, 3) in which no wrist bends by 55 degrees or more.
-
-        Hands that bend by more than 40 degrees turn toward their forearms.
-        """
-        bent, along = positions.copy(), unit(self._forearms(positions))
-        wrists = positions[..., self._wrists, :]
-        pointing = unit(positions[..., self._joints[0], :] - wrists)
-        bend = np.arccos(np.clip(np.vecdot(along, pointing), -1.0, 1.0))
-        if not (bend > _FREE).any():
-            return bent
-        room = _MOST - _FREE
-        less = _FREE + room * np.tanh((bend - _FREE) / room)
-        sine = np.sin(bend)
-        share = np.sin(bend - less)[..., None], np.sin(less)[..., None]
-        wanted = share[0] * along + share[1] * pointing
-        wanted = np.where((sine < _FOLDED)[..., None], along, wanted)
-        turn = between(pointing, wanted)
-        turn[bend <= _FREE] = IDENTITY
-        for joints in self._joints:
-            turned = wrists + rotate(turn, positions[..., joints, :] - wrists)
-            much = (bend > _FREE)[..., None]
-            bent[..., joints, :] = np.where(much, turned, positions[..., joints, :])
-        return bent

@@ -138,7 +138,7 @@ def test_a_take_that_was_cleaned_before_is_edited_as_one_cleaned_at_once(
 
 
 @pytest.mark.parametrize(
-    "joint", ["WristRight", "ElbowLeft", "KneeRight", "AnkleLeft", "Head"]
+    "joint", ["WristRight", "HandLeft", "ElbowLeft", "KneeRight", "AnkleLeft", "Head"]
 )
 def test_a_pinned_joint_is_where_it_is_pinned_and_its_neighbors_follow(
     pair: PairedTake, joint: str

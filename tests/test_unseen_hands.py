@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from kinefilter import Avatar, CleanConfig, clean
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
@@ -15,7 +14,7 @@ from kinefilter.characters import standard_body as body_of
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
+from kinefilter.retarget import BoneLengths, rotations_from_positions
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -85,34 +84,6 @@ def test_whole_takes_as_frame_by_frame_before_hands_are_seen() -> None:
     steps = [hold.follow(p, np.where(np.isnan(p[:, 0]), 0.0, 1.0)) for p in positions]
     np.testing.assert_allclose(whole, steps, atol=1e-12)
     assert bends(whole[:60], KINECT_V1).max() < 1e-3
-
-
-@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
-def test_wrists_bend_as_far_as_people_bend_theirs(skeleton: Skeleton) -> None:
-    rng, hands = np.random.default_rng(3), Hands(skeleton)
-    positions = np.tile(body_of(skeleton).rest_positions, (200, 1, 1))
-    wrists = skeleton.sides("Wrist")
-    for wrist in wrists:
-        beyond = skeleton.descendants(wrist)
-        turns = Rotation.random(200, random_state=rng).as_matrix()
-        away = positions[:, beyond] - positions[:, [wrist]]
-        positions[:, beyond] = positions[:, [wrist]] + away @ turns
-    before, found = bends(positions, skeleton), hands.bent_less(positions)
-    after = bends(found, skeleton)
-    assert before.max() > 150.0
-    assert after.max() < 55.0
-    np.testing.assert_allclose(after[before < 40.0], before[before < 40.0])
-    assert (np.diff(after.ravel()[np.argsort(before.ravel())])[:-20] > -1e-6).all()
-    for wrist in wrists:  # hands turn as a whole
-        beyond = skeleton.descendants(wrist)
-        for shape in (positions, found):
-            shape -= shape[:, [wrist]]
-        one, other = (shape[:, beyond] for shape in (positions, found))
-        np.testing.assert_allclose(
-            np.einsum("tik,tjk->tij", one, one),
-            np.einsum("tik,tjk->tij", other, other),
-            atol=1e-12,
-        )
 
 
 def test_a_hand_pressed_against_the_thigh_does_not_fold() -> None:

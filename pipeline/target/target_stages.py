@@ -269,7 +269,6 @@ class Bones(Stage):
         body, positions = self._body, draft.positions
         there = self._bones.project(positions[None], draft.bone_weights[None])[0]
         there = self._hands.carried(positions, there, draft.confidence, body)
-        there = self._hands.bent_less(there)
         draft.positions = put_on_floor(there[None], body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
@@ -288,7 +287,7 @@ class Bones(Stage):
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
             there = put_on_floor(bones.project(there, weights), body)
-        draft.positions = put_on_floor(hands.bent_less(there), body)
+        draft.positions = there
 
 
 class Orient(Stage):
@@ -317,14 +316,18 @@ class Orient(Stage):
             prior = None if twist is None else normalize(twist[k].astype(float))
             rotations[k] = rotations_from_positions(positions[k], body, prior)
         draft.rotations, draft.twist = continuous(rotations), None
-        roots = positions[:, draft.skeleton.root]
-        draft.posed = np.empty_like(positions)
-        for k in chunks(len(roots), CHUNK):
-            draft.posed[k] = positions_from_rotations(
-                draft.rotations[k], roots[k], body
-            )
-        heights = draft.posed[..., 1]
-        heights += floor_penetration(heights, clearances(body))[:, None]
+        draft.posed = posed(draft)
+
+
+def posed(draft: Draft) -> Array:
+    """Return joint positions [m] by a take's rotations, above the floor, (T, J, 3)."""
+    roots, body = draft.positions[:, draft.skeleton.root], draft.body
+    joints = np.empty_like(draft.positions)
+    for k in chunks(len(roots), CHUNK):
+        joints[k] = positions_from_rotations(draft.rotations[k], roots[k], body)
+    heights = joints[..., 1]
+    heights += floor_penetration(heights, clearances(body))[:, None]
+    return joints
 
 
 def _feet(draft: Draft) -> tuple[Array, Array, Flags, Body]:

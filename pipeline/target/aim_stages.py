@@ -1,0 +1,157 @@
+"""The stages that aim the head and the hands, and twist the forearms.
+
+Relative to chest and forearms, head and hands move slowly and little. So they are
+smoothed there, and more strongly than joints are in the room.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.rotations import continuous, slerp
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.stages import Stage
+from kinefilter.retarget import Neck, Palms
+
+from .feet import PLANTED
+from .smooth import smooth
+from .target_stages import posed
+
+_LEAST_WEIGHT = 0.05  # of an unreliable joint; a reliable one has 1
+_Filter = Callable[[Array, Array], tuple[Array, Array]]
+"""Filters values (..., K, C) by their weights (..., K), and filters these too."""
+
+
+class _Aim(Stage):
+    """Stage that turns chains of short bones relative to the segments before them."""
+
+    local = True
+    in_parts = False  # rotations keep their sign across gaps
+    cutoffs: ClassVar[tuple[float, ...]]
+    """Cutoff [Hz] of each of the filters."""
+    chains: ClassVar[type[Neck | Palms]]
+    """The chains to aim."""
+
+    def start(self, body: Body) -> None:
+        """Reset the state for a new motion."""
+        self._chains = self.chains(body)
+        self._means = [_Mean(cutoff) for cutoff in self.cutoffs]
+
+    def step(self, draft: Draft) -> None:
+        """Aim in the next frame."""
+        filters = [mean.after(draft.elapsed) for mean in self._means]
+        self._aim_unpinned(draft, self._chains, filters)
+
+    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+        """Aim in a take."""
+        filters = _smoothing(draft.time, self.cutoffs)
+        self._aim_unpinned(draft, self.chains(draft.body), filters)
+        draft.rotations = continuous(draft.rotations)
+        draft.posed = posed(draft)
+
+    def _aim_unpinned(
+        self, draft: Draft, chains: Neck | Palms, filters: Sequence[_Filter]
+    ) -> None:
+        """Aim, but leave what was pinned by hand where it is."""
+        before, turns = draft.positions, draft.rotations
+        self._aim(draft, chains, filters)
+        for start, *joints in zip(chains.starts, *chains.joints, strict=True):
+            firm = draft.bone_weights[..., joints].max(axis=-1)
+            share = np.clip((firm - 1.0) / (PLANTED - 1.0), 0.0, 1.0)[..., None]
+            if not share.any():
+                continue
+            moved = [start, *draft.skeleton.descendants(start)]
+            here, there = draft.positions[..., moved, :], before[..., moved, :]
+            draft.positions[..., moved, :] = here + share[..., None] * (there - here)
+            draft.rotations[..., moved, :] = slerp(
+                draft.rotations[..., moved, :], turns[..., moved, :], share
+            )
+
+    @staticmethod
+    @abstractmethod
+    def _aim(draft: Draft, chains: Any, filters: Sequence[_Filter]) -> None:
+        """Replace the positions and rotations of a frame or a take."""
+
+
+class AimHead(_Aim):
+    """Stage that turns the head by all joints above the shoulders."""
+
+    name = "head"
+    cutoffs, chains = (1.2,), Neck
+
+    @staticmethod
+    def _aim(draft: Draft, chains: Neck, filters: Sequence[_Filter]) -> None:
+        joints, (aim,) = (draft.positions, draft.rotations), filters
+        head = chains.straightened(*aim(*chains.aims(*joints, _weights(draft))))
+        draft.positions, draft.rotations = chains.posed(*joints, head)
+
+
+class AimHands(_Aim):
+    """Stage that turns hands by all of their joints, and forearms by the thumbs."""
+
+    name = "hands"
+    cutoffs, chains = (1.2, 1.0), Palms
+
+    @staticmethod
+    def _aim(draft: Draft, chains: Palms, filters: Sequence[_Filter]) -> None:
+        aim, turn = filters
+        joints = draft.positions, draft.rotations, _weights(draft)
+        hands = chains.straightened(*aim(*chains.aims(*joints)))
+        twist = np.zeros(hands.shape[:-1])
+        if chains.has_thumbs:
+            twist = chains.twist(*turn(*chains.thumbs(*joints, hands)))
+        draft.positions, draft.rotations = chains.posed(*joints[:2], hands, twist)
+
+
+def _weights(draft: Draft) -> Array:
+    """Return how much each joint counts, shape (..., J)."""
+    return np.maximum(draft.reliability, _LEAST_WEIGHT)
+
+
+class _Mean:
+    """A running mean of values by their weights."""
+
+    def __init__(self, cutoff: float) -> None:
+        self._rate = 2.0 * np.pi * cutoff  # 1/s
+        self._mean: tuple[Array, Array] | None = None
+
+    def after(self, elapsed: float) -> _Filter:
+        """Return the filter for a frame that comes so long [s] after the last one."""
+
+        def mean(values: Array, weights: Array) -> tuple[Array, Array]:
+            latest = weights[..., None] * values, weights
+            old = self._mean or latest
+            share = 1.0 - np.exp(-self._rate * elapsed)
+            pull, weight = (
+                a + share * (b - a) for a, b in zip(old, latest, strict=True)
+            )
+            self._mean = pull, weight
+            return pull / weight[..., None], weight
+
+        return mean
+
+
+def _smoothing(time: Array, cutoffs: Sequence[float]) -> list[_Filter]:
+    """Return zero-lag filters of a take, which do not look across long gaps."""
+
+    def filter_at(cutoff: float) -> _Filter:
+        def smoothed(values: Array, weights: Array) -> tuple[Array, Array]:
+            found, level = np.empty_like(values), np.empty_like(weights)
+            for k in parts_of(time):
+                found[k] = smooth(time[k], values[k], weights[k], cutoff=cutoff)
+                even = np.ones_like(weights[k])
+                mean = smooth(time[k], weights[k][..., None], even, cutoff=cutoff)
+                level[k] = np.maximum(mean[..., 0], _LEAST_WEIGHT)
+            return found, level
+
+        return smoothed
+
+    return [filter_at(cutoff) for cutoff in cutoffs]
