@@ -148,7 +148,6 @@ def test_options_go_with_the_files_that_the_table_says() -> None:
         "--loop": {"loop": True},
         "--root": {"root": "in-place"},
         "--keys": {"keys": 1.0},
-        "--tangents": {"keys": 1.0, "tangents": "free"},
         "--up": {"up": "z"},
         "--units": {"units": "cm"},
         "--rest": {"rest": "t"},

@@ -6,7 +6,7 @@ import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,17 +17,11 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean
-from kinefilter.characters import (
-    KINECT_V2,
-    Clip,
-    InputError,
-    Skeleton,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotation_vector
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
-from kinefilter.pipeline.formats.keys import _HOLD, sparse_curves
+from kinefilter.pipeline.formats.keys import sparse_curves
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
@@ -73,7 +67,6 @@ def apart(clip: Clip, other: Clip) -> tuple[float, float]:
 @given(
     error=st.sampled_from([0.1, 1.0, 5.0]),
     wild=st.booleans(),
-    tangents=st.sampled_from(["automatic", "free"]),
     seed=st.integers(0, 999),
     steps=st.lists(
         st.sampled_from([0.0, 1 / 30, 0.0334, 0.5, 3.0]), min_size=1, max_size=30
@@ -84,7 +77,6 @@ def test_no_joint_is_farther_off_than_the_error_and_every_frame_comes_back(
     tmp_path: Path,
     error: float,
     wild: bool,
-    tangents: Literal["automatic", "free"],
     seed: int,
     steps: list[float],
 ) -> None:
@@ -92,7 +84,7 @@ def test_no_joint_is_farther_off_than_the_error_and_every_frame_comes_back(
     clip = make_clip(seed=seed, wild=wild, time=time)
     write_clip(clip, tmp_path / "clip.glb")
     whole = read_clip(tmp_path / "clip.glb")
-    write_clip(clip, tmp_path / "clip.glb", Export(keys=error, tangents=tangents))
+    write_clip(clip, tmp_path / "clip.glb", Export(keys=error))
     found = read_clip(tmp_path / "clip.glb")
     np.testing.assert_array_equal(found.time, whole.time)
     np.testing.assert_array_equal(found.reliability, whole.reliability)
@@ -130,13 +122,6 @@ def test_an_ordinary_take_keeps_a_fifth_of_its_keys(tmp_path: Path) -> None:
         (tmp_path / name).stat().st_size for name in ("still.glb", "clip.glb")
     )
     assert once + 6 * (ten_seconds - once) < 1.2e6  # in a minute
-    write_clip(clip, tmp_path / "free.glb", Export(keys=1.0, tangents="free"))
-    fewer = sum(len(times) for _, times, _ in samplers(tmp_path / "free.glb"))
-    assert fewer < 0.65 * few
-    assert (tmp_path / "free.glb").stat().st_size < ten_seconds
-    away, angle = apart(clip, read_clip(tmp_path / "free.glb"))
-    assert 0.9e-3 < away < 1e-3
-    assert angle < 0.5
 
 
 @every_skeleton
@@ -153,43 +138,14 @@ def test_blender_makes_the_same_curves_of_the_keys_alone(
         np.testing.assert_allclose(after, spline(times, 1), atol=2e-4)
 
 
-def test_free_tangents_are_nearest_to_all_frames() -> None:
-    """A cubic through its ends needs no key between, and any other slope is worse."""
-    stamps = np.arange(30) / 30.0
-    cubic = np.stack([stamps**3 - stamps, 2.0 * stamps**2, 0.1 + stamps], axis=1)
-    rig = rig_of(standard_body(KINECT_V2))
-    still = np.tile(IDENTITY, (30, len(rig), 1))
-    curve = next(sparse_curves(rig, stamps, 1 / 30, {0: cubic}, still, 1e-3, free=True))
-    assert len(curve.times) == 2
-    exact = np.stack([3 * stamps**2 - 1, 4 * stamps, np.ones(30)], axis=1)
-    np.testing.assert_allclose(curve.slopes, exact[[0, -1]], atol=1e-3)
-    rng = np.random.default_rng(3)
-    rough = cubic + rng.normal(0.0, 4e-4, cubic.shape)
-    curve = next(sparse_curves(rig, stamps, 1 / 30, {0: rough}, still, 2e-3, free=True))
-
-    at = np.searchsorted(stamps, curve.times - 1e-6)
-    own = np.gradient(rough, stamps, axis=0)[at]
-
-    def squares(slopes: Array) -> float:
-        found = CubicHermiteSpline(curve.times, curve.values, slopes)(stamps)
-        apart = (slopes - own) / 30.0
-        return float(np.sum((found - rough) ** 2) + _HOLD * np.sum(apart**2))
-
-    least = squares(curve.slopes)
-    for _ in range(20):
-        other = curve.slopes + rng.normal(0.0, 0.02, curve.slopes.shape)
-        assert squares(other) > least
-
-
-@pytest.mark.parametrize("free", [False, True])
-def test_curves_do_not_swing_where_frames_are_missing(free: bool) -> None:
+def test_curves_do_not_swing_where_frames_are_missing() -> None:
     """Ahead at full speed, then nothing for four seconds, then ahead again."""
     rig = rig_of(clean(read_take(sample_path()).at(slice(40))).clip.body)
     stamps = np.r_[np.arange(10), 130 + np.arange(10)] / 30.0
     path = np.zeros((20, 3))
     path[:, 2] = np.r_[np.arange(10), 9, 10 + np.arange(9)] * 0.05
     still = np.tile(IDENTITY, (20, len(rig), 1))
-    curve = next(sparse_curves(rig, stamps, 1 / 30, {0: path}, still, 0.001, free=free))
+    curve = next(sparse_curves(rig, stamps, 1 / 30, {0: path}, still, 0.001))
     known = CubicHermiteSpline(curve.times, curve.values, curve.slopes)
     between = np.arange(9, 131) / 30.0
     assert np.abs(known(between)[:, 2] - 9 * 0.05).max() < 1e-3
@@ -214,11 +170,6 @@ def test_a_frame_alone_is_written_and_so_are_two(
 def test_errors_that_nobody_means_are_refused(keys: float) -> None:
     with pytest.raises(InputError, match=r"--keys .*expected 0\.01 to 100 mm"):
         Export(keys=keys)
-
-
-def test_free_tangents_are_for_keys_that_are_left() -> None:
-    with pytest.raises(InputError, match="--tangents free is for the keys"):
-        Export(tangents="free")
 
 
 def test_formats_with_a_key_in_every_frame_say_what_has_fewer(

@@ -60,7 +60,7 @@ _OPTIONS = {
     **dict.fromkeys(USD_SUFFIXES, (*_ANY_RIG, "character")),
     ".usdz": _ANY_RIG,
     ".bvh": (*_ANY_RIG, "rotation_order"),
-    ".glb": (*_SPAN_AND_RATE, "keys", "tangents", "rest", "rig", "target"),
+    ".glb": (*_SPAN_AND_RATE, "keys", "rest", "rig", "target"),
     ".fbx": (*_SPAN_AND_RATE, "rest", "rig", "target", "blender"),
     ".vrma": _SPAN_AND_RATE,
     ".npz": (*_SPAN_AND_RATE, "rig"),
@@ -106,9 +106,6 @@ class Export:
     keys: float | None = None
     """Keep only the keyframes of GLB that smooth curves need to put every joint within
     this distance [mm] of its place, and within half a degree per mm of its rotation."""
-    tangents: Literal["automatic", "free"] = "automatic"
-    """Tangents of these keys: free ones need two fifths fewer keys, but a program that
-    follows them, such as three.js; Blender does not and would be off by centimeters."""
     rest: Literal["own", "t"] = "own"
     """Rest pose of USD, GLB, FBX and BVH: own is a T-pose with this person's own trunk,
     shoulders and hips; t is a strict T-pose, upright and square."""
@@ -145,8 +142,6 @@ class Export:
                 f"--begin {self.begin or 0.0:g} --end {self.end or 0.0:g}: expected "
                 "seconds after the take's first frame, the end later than the beginning"
             )
-        if self.tangents == "free" and self.keys is None:
-            raise InputError("--tangents free is for the keys that --keys leaves")
         if self.target is not None and self.rig is None:
             raise InputError(f"--target {self.target}: needs --rig for its joint names")
         if self.rig is not None and (self.rest != "own" or self.character is not None):

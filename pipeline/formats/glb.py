@@ -197,10 +197,7 @@ def _add_person(
         from .keys import sparse_curves  # loads scipy
 
         step, error = 1.0 / clip.fps, export.keys / 1000.0
-        free = export.tangents == "free"
-        for curve in sparse_curves(
-            rig, glb.stamps, step, paths, turns, error, free=free
-        ):
+        for curve in sparse_curves(rig, glb.stamps, step, paths, turns, error):
             glb.bend(first + curve.node, curve)
     if export.rig is None:
         mesh = glb.mesh("Skin", _skin(clip, rig, glb), SKIN_COLOR)

@@ -1,9 +1,7 @@
 """Keyframe reduction: curves through a few of a clip's frames, close to all others.
 
-Curves with automatic tangents are cubic splines with zero slope at both ends. Blender
-ignores the tangents in glTF, but the automatic handles that it gives to keys make the
-same curves. Free tangents are those that bring a curve nearest to all frames, so that
-fewer keys are enough.
+Each curve is a cubic spline with zero slope at both ends. Blender ignores the tangents
+in glTF, but the automatic handles that it gives to keys make the same curves.
 """
 
 from __future__ import annotations
@@ -13,8 +11,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
-from scipy.linalg import solveh_banded
+from scipy.interpolate import CubicSpline
 
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.rotations import (
@@ -33,10 +30,6 @@ _APART = 16  # frames between the first keys where two are not enough; halves th
 _ROUNDS = 6  # of removal; each tries to remove every third key
 _ROUNDING = 1e-6  # m that single precision may lose
 _SHORT = 1e-6  # m; nodes nearer to their parents are at the same place
-_HOLD = 0.05
-"""Weight of the difference from a clip's own slopes over one frame, where that of an
-error is 1. With less, fast limbs swing between frames more than with automatic tangents
-(measured in takes of walks and punches); keys become 3 % fewer without it."""
 
 
 class Curve(NamedTuple):
@@ -58,8 +51,6 @@ def sparse_curves(
     places: Mapping[int, Array],
     local: Array,
     error: float,
-    *,
-    free: bool = False,
 ) -> Iterator[Curve]:
     """Yield curves that keep every joint within ``error`` [m] of its position.
 
@@ -67,8 +58,7 @@ def sparse_curves(
     fitted from the root outward, and each compensates for the errors of those above it.
     Frames missing at intervals of ``step`` [s] count as interpolated. Time stamps [s]
     are two or more, distinct in single precision, (T,); ``places`` are local positions
-    [m] (T, 3) of the nodes that move, ``local`` all local rotations, wxyz, (T, N, 4);
-    ``free`` chooses the kind of tangents.
+    [m] (T, 3) of the nodes that move, ``local`` all local rotations, wxyz, (T, N, 4).
     """
     stamps, before, share = _with_missing(stamps, step)
     after = np.minimum(before + 1, len(local) - 1)
@@ -82,14 +72,14 @@ def sparse_curves(
         place = rig.at_rest[0][node]
         if node in paths:
             errors = partial(chain.position_errors, node)
-            curve, place = _fitted(node, stamps, paths[node], errors, free=free)
+            curve, place = _fitted(node, stamps, paths[node], errors)
             yield curve
         chain.put(node, place)
         target = chain.world[:, node]
         if parent >= 0:
             target = multiply(inverse(chain.turned[:, parent]), target)
         errors = partial(chain.rotation_errors, node)
-        curve, values = _fitted(node, stamps, continuous(target), errors, free=free)
+        curve, values = _fitted(node, stamps, continuous(target), errors)
         chain.turned[:, node] = chain.turn(node, values)
         yield curve
 
@@ -160,40 +150,8 @@ class _Chain:
         return np.asarray(most)
 
 
-def _nearest_curve(
-    stamps: Array, values: Array, kept: Flags, own: Array
-) -> CubicHermiteSpline:
-    """Return the curve through the values kept that is nearest to all, (T, C).
-
-    Its slopes minimize the sum of squared errors, and differ little from the values'
-    ``own`` [1/s] (T, C).
-    """
-    keys, span = np.flatnonzero(kept), np.cumsum(kept)[:-1] - 1
-    times, count = stamps[keys], len(keys)
-    step = np.diff(times)[span]
-    way = (stamps[:-1] - times[span]) / step
-    one, other = step * way * (1.0 - way) ** 2, -step * way**2 * (1.0 - way)
-    guess = CubicHermiteSpline(times, values[keys], own[keys])
-    missing = (values - guess(stamps))[:-1]
-    # Each error depends on the slopes at both ends of its span.
-    hold = _HOLD * np.square(np.diff(stamps)).mean()
-    ends = np.bincount(span, one**2, count) + np.bincount(span + 1, other**2, count)
-    both = np.bincount(span, one * other, count)
-    sums = [
-        np.bincount(span, one * row, count) + np.bincount(span + 1, other * row, count)
-        for row in missing.T
-    ]
-    slopes = solveh_banded([ends + hold, both], np.transpose(sums), lower=True)
-    return CubicHermiteSpline(times, values[keys], own[keys] + slopes)
-
-
 def _fitted(
-    node: int,
-    stamps: Array,
-    values: Array,
-    errors: Callable[[Array], Array],
-    *,
-    free: bool,
+    node: int, stamps: Array, values: Array, errors: Callable[[Array], Array]
 ) -> tuple[Curve, Array]:
     """Return a curve through few of the values (T, C), and its value in each frame.
 
@@ -201,11 +159,8 @@ def _fitted(
     """
     kept = np.zeros(len(stamps), dtype=np.bool_)
     kept[[0, -1]] = True
-    own = np.gradient(values, stamps, axis=0)
 
-    def spline(kept: Flags) -> CubicSpline | CubicHermiteSpline:
-        if free:
-            return _nearest_curve(stamps, values, kept, own)
+    def spline(kept: Flags) -> CubicSpline:
         return CubicSpline(stamps[kept], values[kept], bc_type="clamped")
 
     def filled(kept: Flags) -> Flags:
