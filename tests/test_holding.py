@@ -156,7 +156,8 @@ def test_the_weight_of_what_is_held_is_no_external_force(tmp_path: Path) -> None
         character.step(
             positions[k], rotations[k], 1 / 30, stands=np.ones(2, dtype=bool)
         )
-    assert character.grasp is not None and character.grasp.held is not None
+    assert character.grasp is not None
+    assert character.grasp.held is not None
     # At rest, the last substep says what all of them do. The feet press on the floor.
     pressed = -character.data.xfrc_applied[:, 2].sum()
     pulls = character.data.actuator_force[: 3 * len(KINECT_V1)].reshape(-1, 3)

@@ -152,7 +152,7 @@ class Holdable:
         found = np.zeros(1, dtype=np.int32)
         own = self._body
         far = mujoco.mj_ray(self._model, self._data, start, down, None, 1, own, found)
-        return 0.0 <= far < 3.0 * _SLACK
+        return bool(0.0 <= far < 3.0 * _SLACK)
 
     def turn_level(self) -> None:
         """Turn it as level as it was when tied, with the torque of both wrists."""

@@ -75,7 +75,7 @@ def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
         heading = rotate(about_y(share * turn), base.ankle[side] - center)
         spot = center + share * way + heading
         to = base.root + (step + 1) / 4.0 * way
-        pelvis = base.pelvis + [(step + 1) / 4.0 * turn, 0.0, 0.0]
+        pelvis = base.pelvis + np.array([(step + 1) / 4.0 * turn, 0.0, 0.0])
         air = pose.stepping(side, spot, 0.06 * puppet.scale)
         middle = 0.5 * (pose.root + to)
         score.to(u(0.28, 0.4), replace(air, root=middle, pelvis=pelvis))
@@ -87,7 +87,7 @@ def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     table, across = pose.root + 0.48 * puppet.scale * _ahead(turn), _ahead(turn + 1.57)
     table[1] = u(0.55, 0.68)
     put = _crouch(puppet, pose, 0.1, 0.0)
-    bend = replace(put, spine=put.spine + [u(0.35, 0.5), 0.0, 0.0])
+    bend = replace(put, spine=put.spine + np.array([u(0.35, 0.5), 0.0, 0.0]))
     for side, sign in ((LEFT, 1.0), (RIGHT, -1.0)):
         place = table + sign * half * across
         bend = puppet.put_hand_world(bend, side, place, (1.0, 0.2, -0.2))
