@@ -41,10 +41,9 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
             for file in over(files, "recorded takes", options.progress)
         ],
         "simulated": [
-            _figures(
-                take := simulate("basic", motions[k], seed=first + k).take, clean(take)
-            )
+            _figures(pair.take, clean(pair.take), pair.truth)
             for k in options.progress("simulated takes", len(motions))
+            for pair in [simulate("basic", motions[k], seed=first + k)]
         ],
     }
     figures = {
@@ -63,7 +62,9 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
     return Study(title, header, rows, panels, across=2)
 
 
-def _figures(take: Take, result: CleanResult) -> dict[str, float]:
+def _figures(
+    take: Take, result: CleanResult, truth: Array | None = None
+) -> dict[str, float]:
     stages, trace = result.stages, result.trace
     assert trace is not None  # physics always leaves one
     raw, before, after = (stages[key] for key in ("raw", "corrected", "physics"))
@@ -82,6 +83,8 @@ def _figures(take: Take, result: CleanResult) -> dict[str, float]:
         "amplitude, share of raw": after.amplitude_kept,
         "wrists bent over 60 degrees, raw, %": _bent(take.positions, take.skeleton),
         "wrists bent over 60 degrees, %": _bent(result.clip.positions, take.skeleton),
+        "hands off their direction, raw, degrees": _off(take, take.positions, truth),
+        "hands off their direction, degrees": _off(take, result.clip.positions, truth),
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
         "external force, body weights": float(trace.external_force.mean()),
         "unexplained force, body weights": after.unexplained_force,
@@ -99,6 +102,16 @@ def _bent(positions: Array, skeleton: Skeleton) -> float:
     seen = np.isfinite(cosine)
     bent = np.count_nonzero(cosine[seen] < np.cos(np.radians(60.0)))
     return 100.0 * bent / seen.sum() if seen.any() else np.nan
+
+
+def _off(take: Take, positions: Array, truth: Array | None) -> float:
+    """Return how far hands point off their true direction [degrees]; NaN if unknown."""
+    if truth is None:
+        return np.nan
+    wrists, hands = take.skeleton.sides("Wrist"), take.skeleton.sides("Hand")
+    found, true = (unit(p[:, hands] - p[:, wrists]) for p in (positions, truth))
+    cosine = np.clip(np.vecdot(found, true), -1.0, 1.0)
+    return float(np.degrees(np.nanmean(np.arccos(cosine))))
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
