@@ -24,7 +24,7 @@ PULLS = 30
 """Actuator group of everything that pulls the character."""
 
 # A time constant of two steps, the stiffest that MuJoCo allows, and almost rigid.
-_HARD_FLOOR = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
+_HARD = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
 # Flesh yields by some centimeters, and so must capsules where a tracker lets arms touch
 # the trunk: hard ones would shake. The time constant is a guess.
 _SOFT_FLESH = ([0.1, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
@@ -86,8 +86,8 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
         friction=[1.0, 0.005, 0.0001],
         contype=1,
         conaffinity=1,
-        solref=_HARD_FLOOR[0],
-        solimp=_HARD_FLOOR[1],
+        solref=_HARD[0],
+        solimp=_HARD[1],
     )
     world.add_site(name="world")
     _add_bodies(spec, body)
@@ -124,6 +124,8 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
                 type=mujoco.mjtJoint.mjJNT_BALL,
                 armature=_ARMATURE,
                 range=[0.0, np.degrees(joint_range(name))],
+                solref_limit=_HARD[0],
+                solimp_limit=_HARD[1],
                 damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
             )
             shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE}

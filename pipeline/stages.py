@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinefilter.characters import Body, Origin, Skeleton, Tracking
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -31,12 +31,12 @@ from .failures import (
 )
 from .methods import SCORERS, load
 from .physics import PhysicsFilter
+from .physics.grasp import seen_hands
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
 from .reliability import measure_body, measure_reference, rest_reference
 from .target.floor import find_placement
 
-_SEEN = 0.3  # reliability of a hand that is seen well enough to let go. A guess.
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
 CHUNK = 4096
 """Frames processed at a time, so that an hour's take fits into a gigabyte."""
@@ -338,7 +338,7 @@ class Physics(Stage):
                 rotations,
                 draft.elapsed,
                 stands=draft.stands,
-                seen=_seen_hands(draft),
+                seen=seen_hands(draft.reliability, draft.skeleton),
             )
         draft.positions = self.character.positions
         draft.rotations = self.character.rotations
@@ -351,7 +351,7 @@ class Physics(Stage):
             draft.time,
             *_placed(draft, place),
             stands=draft.stands,
-            seen=_seen_hands(draft),
+            seen=seen_hands(draft.reliability, draft.skeleton),
             frames=progress(self.name, len(draft.time)),
         )
         draft.positions, draft.rotations = result.positions, result.rotations
@@ -364,12 +364,6 @@ class Physics(Stage):
 
     def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
         return None if self._scene is None else find_placement(positions, skeleton)
-
-
-def _seen_hands(draft: Draft) -> Flags:
-    """Return whether the sensor saw each hand (left, right) well, shape (2,)."""
-    hands = draft.reliability[..., draft.skeleton.sides("Hand")]
-    return np.asarray(hands > _SEEN)
 
 
 def _placed(draft: Draft, place: HeadingFrame | None) -> tuple[Array, Array]:

@@ -54,7 +54,7 @@ def _table(file: str, *headings: str) -> dict[str, list[str]]:
         ("README.md", ["Figures"]),
         (
             "pipeline/lab/RESULTS.md",
-            ["Clips, reliability, failures, papers, speed"],
+            ["Clips, reliability, failures, papers, speed", "Things that are held"],
         ),
         ("pipeline/lab/DEPARTURES.md", ["Presets on recorded people", "Trackers"]),
     ],

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from skeletons import every_skeleton
 
+from kinefilter import clean
 from kinefilter.characters import (
     KINECT_V1,
     InputError,
@@ -22,7 +23,14 @@ from kinefilter.characters.humanoid import (
     from_mujoco,
     to_mujoco,
 )
-from kinefilter.characters.rotations import about_y, rotate
+from kinefilter.characters.rotations import (
+    about_y,
+    inverse,
+    multiply,
+    rotate,
+    rotation_vector,
+)
+from kinefilter.pipeline.lab.simulation import simulate
 
 
 def test_forward_left_and_up_are_the_axes_of_mujoco() -> None:
@@ -204,3 +212,13 @@ def test_without_forces_it_ends_lying_on_the_floor() -> None:
     heights = data.site_xpos[sites, 2]
     assert heights[KINECT_V1.index("Head")] < 0.35
     assert heights.min() > 0.0
+
+
+@pytest.mark.parametrize(("motion", "seed"), [("deep_squat", 1), ("lunge", 4)])
+def test_no_joint_of_a_clip_leaves_its_range(motion: str, seed: int) -> None:
+    clip = clean(simulate("basic", motion, seed=seed).take).clip
+    ends, starts = clip.skeleton.segments, clip.skeleton.segment_parents
+    relative = multiply(inverse(clip.rotations[:, starts]), clip.rotations[:, ends])
+    bend = np.linalg.norm(rotation_vector(relative), axis=-1).max(axis=0)
+    most = [joint_range(clip.skeleton.joints[j]) for j in ends]
+    assert np.degrees(bend - most).max() < 1.5

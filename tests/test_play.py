@@ -97,6 +97,19 @@ def test_a_reset_leaves_things_where_they_are(motion: Clip) -> None:
     assert np.abs(ground.scene_props.now[0] - before).max() < 0.5
 
 
+def test_props_are_back_whenever_the_motion_begins(motion: Clip) -> None:
+    ground = Playground(motion, "box")
+    data = ground.character.data
+    place, box = data.body("box").xpos.copy(), data.joint("box")
+    box.qpos[:3] += [1.0, 1.0, 0.0]
+    while ground.time * RATE < len(ground.motion) - 2:
+        ground.step(1.0 / RATE)
+    assert np.linalg.norm(data.body("box").xpos - place) > 1.0
+    for _ in range(3):
+        ground.step(1.0 / RATE)
+    np.testing.assert_allclose(data.body("box").xpos, place, atol=0.01)
+
+
 def test_what_was_played_is_a_clip_with_the_balls_that_flew(
     motion: Clip, tmp_path: Path
 ) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import cross, unit
@@ -21,6 +21,7 @@ from kinefilter.retarget.stance import smooth_step
 from .holdable import HANDS, HORIZONTAL, UP, Holdable
 
 # All of these are guesses, tried on scripted performances with a box.
+_SEEN = 0.3  # reliability of a hand that is seen well enough to let go
 _NEAR, _FAR = 0.2, 0.5  # m from their places: hands go there fully, or not at all
 _LOST = 0.8  # m from their places: hands that were about to grasp gave up
 _SETTLED = 0.3  # m/s: hands that approach more slowly are about to grasp
@@ -41,6 +42,14 @@ _LEAVING_TIME = 0.3  # s in which hands stay beside what they let go
 _STRENGTH = 300.0  # N of each hand
 _TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
 _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
+
+
+def seen_hands(reliability: Array, skeleton: Skeleton) -> Flags:
+    """Return which hands (left, right) the sensor saw well, shape (..., 2).
+
+    ``reliability`` has shape (..., J); where it is NaN, hands count as seen.
+    """
+    return np.asarray(~(reliability[..., skeleton.sides("Hand")] <= _SEEN))
 
 
 class Grasp:

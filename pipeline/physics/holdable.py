@@ -125,6 +125,14 @@ class Holdable:
         self._data.eq_active[self._ties] = 0
         self._data.xfrc_applied[self._body] = 0.0
 
+    def put_back(self) -> None:
+        """Put it where the scene has it, at rest."""
+        joint = self._model.jnt(int(self._model.body_jntadr[self._body]))
+        start, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+        place = slice(start, start + 7)
+        self._data.qpos[place] = self._model.qpos0[place]
+        self._data.qvel[speed : speed + 6] = 0.0
+
     @property
     def pulls(self) -> Array:
         """Force of each tie [N], shape (2,)."""

@@ -24,6 +24,7 @@ from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.stance import smooth_step
 
 from .filter import SceneProps
+from .grasp import seen_hands
 from .pulled_character import PulledCharacter
 
 RATE = 30.0
@@ -89,14 +90,19 @@ class Playground:
 
     def step(self, dt: float) -> None:
         """Advance the simulation by dt [s]."""
+        rounds = int(self.time * RATE) // len(self.motion)
         self.time += dt
+        if int(self.time * RATE) // len(self.motion) > rounds:
+            self._put_back()
         if self._dragged is not None:
             joint, grabbed, pointer = self._dragged
             force = _STIFFNESS * (pointer - self.character.positions[joint] - grabbed)
             size = float(np.linalg.norm(force))
             self._push(joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
         positions, rotations, stands = self._target()
-        self.resets += not self.character.step(positions, rotations, dt, stands=stands)
+        self.resets += not self.character.step(
+            positions, rotations, dt, stands=stands, seen=self._seen()
+        )
         self.scene_props.record(0)
         if self._frames is not None:
             contacts = self.motion.contacts[int(self.time * RATE) % len(self.motion)]
@@ -106,6 +112,18 @@ class Playground:
                 self.scene_props.poses[0].copy(),
             )
             self._frames.append((dt, *pose, contacts, force, props))
+
+    def _put_back(self) -> None:
+        """Put props that hands can hold where the motion, which repeats, begins."""
+        if (grasp := self.character.grasp) is not None:
+            grasp.start()
+            for prop in grasp.props:
+                prop.put_back()
+
+    def _seen(self) -> Flags:
+        """Return which hands the sensor saw."""
+        frame = int(self.time * RATE) % len(self.motion)
+        return seen_hands(self.motion.reliability[frame], self.motion.skeleton)
 
     def _target(self) -> tuple[Array, Array, Flags]:
         """Return the motion's positions, rotations and planted feet at this time."""
