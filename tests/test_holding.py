@@ -128,8 +128,9 @@ WELDED = f'<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body>{CARTON}</b
         (CARTON, CRATE, True),
         ('body name="parcel"', "body", True),
         ('body name="parcel"', 'body name="a &quot;parcel&quot;: 1 &lt; 2"', True),
+        ('mass="2"', 'mass="500"', False),
     ],
-    ids=["only seen", "welded", "crate", "unnamed", "odd name"],
+    ids=["only seen", "welded", "crate", "unnamed", "odd name", "too heavy"],
 )
 def test_props_of_every_kind_are_held_if_hands_could(
     tmp_path: Path, old: str, new: str, held: bool
@@ -150,6 +151,16 @@ def test_hands_are_on_the_faces_of_a_mesh_as_of_a_box(tmp_path: Path) -> None:
         for shape in (CARTON, wedge)
     ]
     np.testing.assert_allclose(*hands, atol=0.01)
+
+
+def test_a_reset_of_the_character_lets_go(tmp_path: Path) -> None:
+    character = holding(tmp_path / "parcel.xml", PARCEL)
+    assert character.grasp is not None
+    assert character.grasp.held is not None
+    character.data.qvel[:3] = 5e4
+    assert not character.step(character.positions, character.rotations, 1 / 30)
+    assert character.grasp.held is None
+    assert character.grasp.weight == 0.0
 
 
 def test_a_ball_that_rolled_is_as_large_as_before(tmp_path: Path) -> None:
