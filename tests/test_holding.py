@@ -93,6 +93,87 @@ def test_hands_let_go_when_they_are_to_part_and_not_when_they_tremble(
     assert [holds[0], *holds[38:41], holds[-1]] == [False, True, True, True, False]
 
 
+def holding(scene: Path, xml: str) -> PhysicsFilter:
+    """Return a character after two seconds with both hands beside the parcel."""
+    scene.write_text(xml)
+    touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
+    apart = np.append(np.linspace(0.25, touch, 40), np.full(20, touch))
+    positions, rotations = reaching(apart, np.full(len(apart), 1.0))
+    character = PhysicsFilter(BODY, scene=scene)
+    character.start(positions[0], rotations[0])
+    for posture, turned in zip(positions[1:], rotations[1:], strict=True):
+        character.step(posture, turned, 1 / 30, stands=np.ones(2, dtype=bool))
+    return character
+
+
+CARTON = '<geom name="parcel" type="box" size="0.1 0.12 0.1" mass="2"/>'
+"""What the parcel's body has for a shape."""
+CRATE = """
+<geom type="box" size="0.1 0.12 0.01" pos="0 0 -0.09" mass="1"/>
+<geom type="box" size="0.1 0.01 0.15" pos="0 0.11 0.05" mass="0.5"/>
+<geom type="box" size="0.1 0.01 0.15" pos="0 -0.11 0.05" mass="0.5"/>
+"""
+WEDGE = """
+<mesh name="wedge" vertex="-0.1 -0.12 -0.1  -0.1 0.12 -0.1  -0.1 -0.12 0  -0.1 0.12 0.1
+    0.1 -0.12 -0.1  0.1 0.12 -0.1  0.1 -0.12 0  0.1 0.12 0.1"/>
+"""
+WELDED = f'<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body>{CARTON}</body>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "held"),
+    [
+        (CARTON, CARTON.replace("/>", ' contype="0" conaffinity="0"/>'), False),
+        (CARTON, WELDED, True),
+        (CARTON, CRATE, True),
+        ('body name="parcel"', "body", True),
+        ('body name="parcel"', 'body name="a &quot;parcel&quot;: 1 &lt; 2"', True),
+        ('mass="2"', 'mass="500"', False),
+    ],
+    ids=["only seen", "welded", "crate", "unnamed", "odd name", "too heavy"],
+)
+def test_props_of_every_kind_are_held_if_hands_could(
+    tmp_path: Path, old: str, new: str, held: bool
+) -> None:
+    character = holding(tmp_path / "parcel.xml", PARCEL.replace(old, new))
+    grasp = character.grasp
+    assert (grasp is not None and grasp.held is not None) is held
+    assert character.external_force < 0.2
+
+
+def test_hands_are_on_the_faces_of_a_mesh_as_of_a_box(tmp_path: Path) -> None:
+    xml = PARCEL.replace("<worldbody>", f"<asset>{WEDGE}</asset><worldbody>")
+    wedge = CARTON.replace('type="box" size="0.1 0.12 0.1"', 'type="mesh" mesh="wedge"')
+    hands = [
+        holding(tmp_path / "parcel.xml", xml.replace(CARTON, shape)).positions[
+            BODY.skeleton.sides("Hand")
+        ]
+        for shape in (CARTON, wedge)
+    ]
+    np.testing.assert_allclose(*hands, atol=0.01)
+
+
+def test_a_reset_of_the_character_lets_go(tmp_path: Path) -> None:
+    character = holding(tmp_path / "parcel.xml", PARCEL)
+    assert character.grasp is not None
+    assert character.grasp.held is not None
+    character.data.qvel[:3] = 5e4
+    assert not character.step(character.positions, character.rotations, 1 / 30)
+    assert character.grasp.held is None
+    assert character.grasp.weight == 0.0
+
+
+def test_a_ball_that_rolled_is_as_large_as_before(tmp_path: Path) -> None:
+    ball = 'type="sphere" size="0.12"'
+    xml = PARCEL.replace('type="box" size="0.1 0.12 0.1"', ball)
+    lies = 'pos="2 0 0.12" euler="45 0 0"'
+    character = holding(tmp_path / "parcel.xml", xml.replace('pos="0.42 0 1.0"', lies))
+    assert character.grasp is not None
+    (prop,) = character.grasp.props
+    assert prop.extent(np.array([0.0, 1.0, 0.0])) == pytest.approx(0.12)
+    assert prop.rests
+
+
 @pytest.mark.parametrize("seen", [True, False])
 def test_hidden_hands_keep_what_they_hold(tmp_path: Path, seen: bool) -> None:
     scene = tmp_path / "parcel.xml"

@@ -58,3 +58,12 @@ def test_what_is_out_of_reach_is_reached_as_far_as_it_goes() -> None:
         moved, _ = Reach(standard_body(skeleton))(positions, rotations, far)
         away = moved[skeleton.root] - positions[skeleton.root]
         assert np.linalg.norm(away) <= 0.2 + 1e-9
+
+
+@every_skeleton
+def test_feet_stay_when_hands_are_moved_as_high_as_they_go(skeleton: Skeleton) -> None:
+    positions, rotations = _standing(skeleton, 0.1)
+    high = np.tile([0.0, 1.5, 0.2], (2, 1))
+    moved, _ = Reach(standard_body(skeleton))(positions, rotations, high)
+    planted = [*skeleton.sides("Ankle"), *skeleton.sides("Foot")]
+    np.testing.assert_allclose(moved[planted], positions[planted], atol=1e-9)

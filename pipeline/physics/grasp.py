@@ -74,7 +74,8 @@ class Grasp:
         self._front = [model.site(skeleton.joints[j]).id for j in trunk]
         self._sites = [model.site(name).id for name in HANDS]
         palm = float(body.radii[self._palms[0]])
-        self.props = Holdable.all(model, data, palm)
+        props = Holdable.all(model, data, palm)
+        self.props = [prop for prop in props if prop.weight < 2.0 * _STRENGTH]
         self.start()
 
     def start(self) -> None:
@@ -209,6 +210,11 @@ class Grasp:
         self._grasped_at, self._rested_at = palms[:, 1].mean(), prop.center[1]
         self._shift, self._clear, self._yield = np.zeros(3), 0.0, np.zeros((2, 3))
         self._carried = hands
+
+    def drop(self) -> None:
+        """Let go of what is held, if anything."""
+        if self.held is not None:
+            self._release(self.held)
 
     def _release(self, prop: Holdable) -> None:
         prop.untie()

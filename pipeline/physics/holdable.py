@@ -6,13 +6,14 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.characters.rotations import cross, unit
 
 HANDS = ("HandLeft", "HandRight")
 HORIZONTAL = np.array([1.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
+_MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 # Guesses.
 _WIDTHS = (0.12, 0.7)  # m: thinner props need one hand, wider ones longer arms
@@ -26,20 +27,45 @@ _WRISTS = 20.0  # N m of both wrists together
 
 
 def add_ties(spec: mujoco.MjSpec) -> None:
-    """Add loose ties of both hands of a character to each movable prop of its scene."""
+    """Add loose ties of both hands of a character to each movable prop of its scene.
+
+    Props without names get that of ``SceneProps``, as ties need one.
+    """
     free = mujoco.mjtJoint.mjJNT_FREE
-    names = [joint.parent.name for joint in spec.joints if joint.type == free]
-    for prop in filter(None, names[1:]):  # the first is the character's root
+    props = [
+        (k, body)
+        for k, body in enumerate(spec.bodies)
+        if any(joint.type == free for joint in body.joints)
+    ]
+    for k, prop in props[1:]:  # the first is the character's root
+        prop.name = prop.name or f"body{k}"
         for hand in HANDS:
             spec.add_equality(
-                name=f"hold:{prop}:{hand}",
+                name=f"hold:{prop.name}:{hand}",
                 type=mujoco.mjtEq.mjEQ_CONNECT,
                 objtype=mujoco.mjtObj.mjOBJ_BODY,
                 name1=hand,
-                name2=prop,
+                name2=prop.name,
                 active=False,
                 solref=[0.02, 1.0],
             )
+
+
+def _props_of(model: mujoco.MjModel) -> Indices:
+    """Return the body that each geom moves with, which may have none of its own."""
+    return np.asarray(model.body_weldid[model.geom_bodyid])
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
+    """Return the corners of a mesh, or of the box around another geom, (N, 3) [m]."""
+    middle, half = model.geom_aabb[geom].reshape(2, 3)
+    points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
+    if model.geom_type[geom] == _MESH:
+        mesh = model.mesh(model.geom_dataid[geom])
+        first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        points = model.mesh_vert[first : first + count]
+    turn = data.geom_xmat[geom].reshape(3, 3)
+    return np.asarray(data.geom_xpos[geom] + points @ turn.T)
 
 
 class Holdable:
@@ -55,37 +81,50 @@ class Holdable:
         name = model.body(body).name
         self._ties = [model.equality(f"hold:{name}:{hand}").id for hand in HANDS]
         self._hands = [model.body(hand).id for hand in HANDS]
-        geoms = np.flatnonzero((model.geom_bodyid == body) & (model.geom_contype != 0))
-        self._geom = int(geoms[np.argmax(model.geom_rbound[geoms])])
-        self._half = model.geom_aabb[self._geom, 3:].copy()
-        ball = mujoco.mjtGeom.mjGEOM_SPHERE
-        self._round = bool(model.geom_type[self._geom] == ball)
+        geoms = np.flatnonzero((_props_of(model) == body) & (model.geom_contype != 0))
+        # A single simple shape has axes of its own; others have those of the body.
+        kind = model.geom_type[geoms[0]] if len(geoms) == 1 else _MESH
+        self._round = bool(kind == mujoco.mjtGeom.mjGEOM_SPHERE)
+        frame = data.xmat[body] if kind == _MESH else data.geom_xmat[geoms[0]]
+        self._turn = data.xmat[body].reshape(3, 3).T @ frame.reshape(3, 3)
+        points = [_corners(model, data, int(geom)) for geom in geoms]
+        points = (np.concatenate(points) - data.xpos[body]) @ frame.reshape(3, 3)
+        low, high = points.min(axis=0), points.max(axis=0)
+        self._middle, self._half = self._turn @ (0.5 * (low + high)), 0.5 * (high - low)
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
     def all(model: mujoco.MjModel, data: mujoco.MjData, palm: float) -> list[Holdable]:
         """Return all props with ties that are not too small for two hands."""
-        tied = {f"hold:{model.body(k).name}:{HANDS[0]}": k for k in range(model.nbody)}
+        mujoco.mj_kinematics(model, data)
+        solid = set(_props_of(model)[model.geom_contype != 0])
+        tied = {f"hold:{model.body(k).name}:{HANDS[0]}": int(k) for k in solid}
         names = [model.equality(k).name for k in range(model.neq)]
         props = [Holdable(model, data, tied[n], palm) for n in names if n in tied]
         return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
 
     @property
     def center(self) -> Array:
-        """Center of its shape [m], shape (3,)."""
-        return from_mujoco(self._data.geom_xpos[self._geom])
+        """Center of the box around it [m], shape (3,)."""
+        turn = self._data.xmat[self._body].reshape(3, 3)
+        return from_mujoco(self._data.xpos[self._body] + turn @ self._middle)
+
+    @property
+    def _axes(self) -> Array:
+        """Directions along its edges, rows (3, 3)."""
+        turn = self._data.xmat[self._body].reshape(3, 3)
+        return from_mujoco((turn @ self._turn).T)
 
     def extent(self, direction: Array) -> float:
         """Return its half extent along a unit vector (3,) [m]."""
-        axes = from_mujoco(self._data.geom_xmat[self._geom].reshape(3, 3).T)
-        return float(np.abs(axes @ direction) @ self._half)
+        if self._round:
+            return float(self._half[0])
+        return float(np.abs(self._axes @ direction) @ self._half)
 
     def places(self, hands: Array) -> Array | None:
         """Return where hands at (2, 3) are to hold it [m], (2, 3); None if nowhere."""
         along = unit((hands[0] - hands[1]) * HORIZONTAL)
-        axes = from_mujoco(self._data.geom_xmat[self._geom].reshape(3, 3).T)
-        if self._round:
-            axes = along[None]
+        axes = along[None] if self._round else self._axes
         k = int(np.abs(axes @ along).argmax())
         side = axes[k] * np.sign(axes[k] @ along)
         if side @ along < _ALONG or not _WIDTHS[0] < 2.0 * self._half[k] < _WIDTHS[1]:
@@ -144,7 +183,7 @@ class Holdable:
     def supported(self) -> bool:
         """Whether it touches anything but the character."""
         model = self._model
-        pairs = model.geom_bodyid[self._data.contact.geom]
+        pairs = _props_of(model)[self._data.contact.geom]
         touched = pairs[(pairs == self._body).any(axis=1)].ravel()
         roots = model.body_rootid[touched[touched != self._body]]
         return bool((roots != model.body_rootid[self._hands[0]]).any())

@@ -40,7 +40,7 @@ class Momentum:
         self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulling))
 
     def add(self) -> None:
-        """Add the forces of a substep: of the floor, props, grips and pulls."""
+        """Add the forces of a substep: of the floor, props, ties and pulls."""
         self._steps += 1
         for forces in self._given:
             self._forces += forces
@@ -49,7 +49,7 @@ class Momentum:
     def unexplained(self, pushed: Array) -> Array:
         """Return the mean force [N], (3,), since the last call that only pulls explain.
 
-        That is, not contacts, grips, gravity or pushes, of which the sum (3,) is given.
+        That is, not contacts, ties, gravity or pushes, of which the sum (3,) is given.
         Also brings the kinematics of the data up to date.
         """
         model, there = self._data.model, self._masses @ self._places

@@ -250,6 +250,8 @@ class PulledCharacter:
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = before  # of the props
             self._place(after_p, after_q)
+            if self.grasp is not None:
+                self.grasp.drop()
             self._momentum.start()
             self._external[:] = 0.0
             return False
