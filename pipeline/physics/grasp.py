@@ -78,11 +78,14 @@ class Grasp:
         self.props = [prop for prop in props if prop.weight < 2.0 * _STRENGTH]
         self.start()
 
-    def start(self) -> None:
-        """Let go of everything."""
-        self.held: Holdable | None = None
+    held: Holdable | None = None
+    """What the hands hold."""
+
+    def start(self, *, props_stay: bool = False) -> None:
+        """Let go of everything; where props stay, hands do not go after what falls."""
+        self._released = self.held if props_stay else None
+        self.held = None
         self._sought: Holdable | None = None
-        self._released: Holdable | None = None
         self._waited = self._leaving = 0.0
         self._away, self._rate = np.zeros((2, 3)), np.zeros((2, 3))
         self._before: Array | None = None

@@ -144,7 +144,7 @@ class PulledCharacter:
         self._external = np.zeros(3)
         self._limbs.start()
         if self.grasp is not None:
-            self.grasp.start()
+            self.grasp.start(props_stay=not reset_props)
         self._pushes: list[tuple[int, Array, float]] = []
         if self.compliance is not None:
             self.limp &= not self.compliance.fallen
