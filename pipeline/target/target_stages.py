@@ -20,7 +20,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, Stage
-from kinefilter.retarget import BoneLengths, Hands, rotations_from_positions
+from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet
 from .floor import (
@@ -262,13 +262,11 @@ class Bones(Stage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._body, self._bones = body, BoneLengths(body)
-        self._hands = Hands(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Restore the lengths of the next frame."""
         body, positions = self._body, draft.positions
         there = self._bones.project(positions[None], draft.bone_weights[None])[0]
-        there = self._hands.carried(positions, there, draft.confidence, body)
         draft.positions = put_on_floor(there[None], body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
@@ -279,9 +277,7 @@ class Bones(Stage):
         """
         body, weights = draft.body, draft.bone_weights
         positions, bones = put_on_floor(draft.positions, body), BoneLengths(body)
-        moved = bones.project(positions, weights)
-        hands = Hands(draft.skeleton)
-        moved = hands.carried(positions, moved, draft.confidence, body) - positions
+        moved = bones.project(positions, weights) - positions
         moved = smooth(draft.time, moved, np.ones(weights.shape), cutoff=_BONES_CUTOFF)
         there = positions + moved
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
