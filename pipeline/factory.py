@@ -37,7 +37,7 @@ def make_corrector(
         if config.method != "local-pca":
             return learned
         methods, least = (learned, _build("local-pca", skeleton, config)), _MINIMUM
-        return CorrectorChain(*methods, skeleton=skeleton, least_reliability=least)
+        return CorrectorChain(*methods, least_reliability=least)
     if config.adapt:
         raise InputError("--adapt needs a --model of method local-gp")
     if config.person is not None:
@@ -64,7 +64,7 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
     """Return the shipped learned corrector followed by local PCA with ``options``."""
     skeleton = database.skeleton
     methods = shipped_model(skeleton), LocalPCA(database, **options)
-    return CorrectorChain(*methods, skeleton=skeleton)
+    return CorrectorChain(*methods)
 
 
 def shipped_model(skeleton: Skeleton) -> Corrector:

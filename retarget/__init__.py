@@ -2,7 +2,6 @@
 
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
-from .hands import Hands
 from .heading_frame import HeadingFrame, find_yaw
 from .neck import Neck
 from .orientation import fill_missing_joints, rotations_from_positions
@@ -10,7 +9,6 @@ from .palms import Palms
 
 __all__ = [
     "BoneLengths",
-    "Hands",
     "HeadingFrame",
     "Neck",
     "Palms",

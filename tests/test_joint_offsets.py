@@ -128,7 +128,7 @@ def test_what_was_not_measured_stays_open_to_the_next_method() -> None:
     posture = _postures(KINECT_V1)[0].copy()
     posture[KINECT_V1.index("HandLeft")] = np.nan
     watch = Watch(KINECT_V1)
-    CorrectorChain(_made_up(KINECT_V1), watch, skeleton=KINECT_V1).step(_seen(posture))
+    CorrectorChain(_made_up(KINECT_V1), watch).step(_seen(posture))
     np.testing.assert_array_equal(np.isnan(watch.saw), np.isnan(posture))
     assert np.nanmax(np.abs(watch.saw - posture)) > 0.01
 
@@ -216,9 +216,7 @@ def test_what_a_model_made_of_a_guess_counts_for_something() -> None:
     reliability = np.ones(len(posture))
     reliability[[hand, wrist]] = 0.0
     watch = Watch(KINECT_V1)
-    methods = CorrectorChain(
-        _made_up(KINECT_V1), watch, skeleton=KINECT_V1, least_reliability=0.65
-    )
+    methods = CorrectorChain(_made_up(KINECT_V1), watch, least_reliability=0.65)
     methods.step(Observation(posture, reliability, reliability))
     expected = np.where(np.arange(len(reliability)) == wrist, 0.65, reliability)
     np.testing.assert_array_equal(watch.saw.reliability, expected)

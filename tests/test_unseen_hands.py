@@ -16,6 +16,7 @@ from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 
@@ -102,3 +103,15 @@ def test_a_hand_pressed_against_the_thigh_does_not_fold() -> None:
     rotations = rotations_from_positions(positions, body, None)
     clip = PhysicsFilter(body).run(np.arange(60) / 30.0, positions, rotations)
     assert bends(clip.positions, KINECT_V1).max() < 62.0
+
+
+def test_no_hand_of_the_sample_hangs_bent() -> None:
+    clip = clean(sample_take()).clip
+    index = clip.skeleton.index
+    for side in ("Left", "Right"):
+        elbow, wrist, hand = (
+            clip.positions[:, index(part + side)] for part in ("Elbow", "Wrist", "Hand")
+        )
+        forearm, bone = wrist - elbow, hand - wrist
+        lengths = np.linalg.norm([forearm, bone], axis=2).prod(axis=0)
+        assert np.degrees(np.arccos(np.vecdot(forearm, bone) / lengths)).max() < 45.0

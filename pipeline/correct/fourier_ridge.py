@@ -27,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import Skeleton, standard_body
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
 from kinefilter.retarget.body_size import chain_matrix
-from kinefilter.retarget.hands import Hands
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
@@ -88,8 +87,7 @@ class FourierRidge(LearnedCorrector):
         self.joints_ = self._posture_features.joints
         self._parents = np.array(skeleton.parents)
         self._hangs = (self._parents >= 0)[:, None]
-        self._chain, self._hands = chain_matrix(skeleton), Hands(skeleton)
-        self._body = standard_body(skeleton)
+        self._chain = chain_matrix(skeleton)
         self._person: int | None = None
         names = [skeleton.joints[j] for j in self.joints_]
         leg = np.array([name.startswith(("Knee", "Ankle", "Foot")) for name in names])
@@ -250,10 +248,6 @@ class FourierRidge(LearnedCorrector):
             own = shift[..., j, :]
             shift[..., j, :] = np.where(missing[..., j, None], of_parent, own)
         moved = posture + shift
-        if far_side.any():
-            # A hand behind the body is a guess of the sensor, too.
-            hidden = far_side[..., self._posture_features.carrier]
-            moved = self._hands.straightened(moved, hidden, self._body)
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * found.share * odd)[..., None]

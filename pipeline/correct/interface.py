@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
-from kinefilter.retarget.hands import Hands
 
 Frames = Iterable[int] | None
 """Yields 0 to T - 1, for example the iterator of a progress bar; None for a range."""
@@ -136,20 +135,15 @@ class CorrectorChain(Corrector):
     """Runs several methods one after the other, each on the result of the one before.
 
     Joints that were not measured stay missing for all of them. Confidence, rotations
-    and coverage come from the last method. Where it turns a forearm, a hand that was
-    not measured turns with it.
+    and coverage come from the last method.
 
     ``least_reliability`` is the minimum reliability of measured joints in the input of
     the last method: above 0 if the methods before it already correct the joints that
     the sensor only inferred.
     """
 
-    def __init__(
-        self, *methods: Corrector, skeleton: Skeleton, least_reliability: float = 0.0
-    ) -> None:
-        self.methods = methods
-        self._hands, self._body = Hands(skeleton), standard_body(skeleton)
-        self.least_reliability = least_reliability
+    def __init__(self, *methods: Corrector, least_reliability: float = 0.0) -> None:
+        self.methods, self.least_reliability = methods, least_reliability
 
     def start(self) -> None:
         """Reset the state for a new motion."""
@@ -173,20 +167,11 @@ class CorrectorChain(Corrector):
     def _run(
         self, seen: Observation, calls: list[Callable[[Observation], Correction]]
     ) -> Correction:
-        before = None
         for call in calls[:-1]:
-            before, missing = call(seen), np.isnan(seen.positions)
-            seen = replace(seen, positions=np.where(missing, np.nan, before.positions))
+            found, missing = call(seen), np.isnan(seen.positions)
+            seen = replace(seen, positions=np.where(missing, np.nan, found.positions))
         least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_reliability)
         reliability, geometry = (
             np.maximum(values, least) for values in (seen.reliability, seen.geometry)
         )
-        found = calls[-1](replace(seen, reliability=reliability, geometry=geometry))
-        if before is None or found.confidence.min() >= 1.0:
-            return found
-        turned = self._hands.carried(
-            before.positions, found.positions, found.confidence, self._body
-        )
-        # A measured hand stays where it is, whatever its length.
-        stays = found.confidence[..., None] >= 1.0
-        return replace(found, positions=np.where(stays, found.positions, turned))
+        return calls[-1](replace(seen, reliability=reliability, geometry=geometry))

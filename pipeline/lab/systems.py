@@ -142,11 +142,7 @@ class CorrectorFactory:
     def corrector(self, system: System) -> Corrector:
         """Return the corrector of a system, trained if it learns."""
         made = [self._make(system.config, name) for name in system.methods]
-        return (
-            made[0]
-            if len(made) == 1
-            else CorrectorChain(*made, skeleton=self._skeleton)
-        )
+        return made[0] if len(made) == 1 else CorrectorChain(*made)
 
     def _make(self, config: CleanConfig, name: str) -> Corrector:
         settings = config.parameters.method if config.method == name else {}
