@@ -76,7 +76,7 @@ def slides(clip: Clip, rig: TargetRig, motion: Retargeted) -> Array:
 
 
 def fold(limb: Array) -> Array:
-    """Return a limb's fold [rad], (T,): short forearms have another, to reach as far."""
+    """Return a limb's fold [rad], (T,): short forearms fold less to reach as far."""
     line = limb[:, -1] - limb[:, 0]
     cosine = np.vecdot(upper_bone(limb), line) / np.linalg.norm(line, axis=-1)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
