@@ -20,6 +20,8 @@ from kinefilter.characters.rotations import inverse, multiply, rotation_vector, 
 from kinefilter.characters.tracking import GameTracking
 from kinefilter.retarget.stance import smooth_step
 
+from .spring import damped
+
 FALLEN_DAMPING = 8.0
 """Joint damping of a fallen body, relative to a limp one. A guess: at 1, bodies that
 are thrown hard spin out of control."""
@@ -114,13 +116,10 @@ class Compliance:
             self.start()
             self.fallen = True
             return True
-        # The exact motion of the oscillator under a constant force.
-        w = tracking.sway_frequency
+        w, before = tracking.sway_frequency, self._speed
         rest = self._sways @ impulses / (dt * self._swaying * w**2)
-        start, before = self._sway - rest, self._speed
-        drift, decay = before + w * start, np.exp(-w * dt)
-        self._sway = rest + (start + drift * dt) * decay
-        self._speed = (drift - w * (start + drift * dt)) * decay
+        off, self._speed = damped(self._sway - rest, before, w, dt)
+        self._sway = rest + off
         self.acceleration = self._sways[:, None] * (self._speed - before) / dt
         self._softness *= np.exp(-dt / _HARDENING_TIME)
         if impulses.any():

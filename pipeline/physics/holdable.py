@@ -190,9 +190,7 @@ class Holdable:
 
     @property
     def rests(self) -> bool:
-        """Whether its center is above something that supports it."""
-        if not self.supported:
-            return False
+        """Whether something is right beneath its center."""
         height, down = self.extent(UP) + _SLACK, to_mujoco(-UP)
         # From beneath it, as rays also hit what they start in.
         start = to_mujoco(self.center - (height - 2.0 * _SLACK) * UP)

@@ -1,0 +1,137 @@
+"""A prop between a character's hands, from when they touch it until they let go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.rotations import unit
+from kinefilter.retarget.stance import smooth_step
+
+from .holdable import HORIZONTAL, UP, Holdable
+
+# All of these are guesses, tried on scripted performances with a box.
+_AHEAD = 0.15  # m in front of the hips: nearer hands hang, and hold nothing
+_PARTING = 0.08  # m by which hands part to let go, ...
+_DRIFTING = 1.0  # s: ... and not as slowly as this
+_CALM = 0.15  # s in which hands that hold follow what is seen of them
+_FELT = 30.0  # N of a hand, beyond what it holds, at which hands yield
+_FORGETTING = 1.0  # s in which hands return from where they yielded to
+_LIFTED = 0.08  # m above where it was grasped: a prop that is put down when it rests
+_RISE = 0.4  # m of a lift over which the prop comes to where the performer has theirs
+_SINK = 0.03  # m by which hands put a prop down lower than they took it up
+_RESTS = 0.25  # m/s: slower hands have put down what they hold
+STRENGTH = 300.0
+"""Largest force of each hand [N]."""
+_TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
+_FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
+
+
+@dataclass(frozen=True, eq=False)
+class Mimed:
+    """What the performer's hands do in a frame, left and right; y up."""
+
+    palms: Array
+    """Positions of the hands [m], shape (2, 3)."""
+    velocity: Array
+    """Their velocities [m/s], shape (2, 3)."""
+    seen: Flags
+    """Whether the sensor sees them, shape (2,)."""
+    side: Array
+    """Directions to the left and ahead of the shoulders, rows (2, 3)."""
+    root: Array
+    """Position of the root joint [m], shape (3,)."""
+    dt: float
+    """Time since the last frame [s]."""
+
+    def hang(self, points: Array) -> bool:
+        """Return whether points (N, 3) [m] are not in front of the body."""
+        return bool(((points - self.root) @ self.side[1]).mean() < _AHEAD)
+
+    @property
+    def gap(self) -> float:
+        """Distance between the hands [m]."""
+        return float(np.linalg.norm(self.palms[0] - self.palms[1]))
+
+    def turn(self, hands: Array) -> Array:
+        """Return the direction from the right hand to the left as in ``side``, (2,)."""
+        return np.asarray(self.side @ unit((hands[0] - hands[1]) * HORIZONTAL))
+
+
+class Carry:
+    """Ties a prop to ``hands``, where those of the character are [m], (2, 3)."""
+
+    def __init__(self, prop: Holdable, hands: Array, mimed: Mimed) -> None:
+        prop.tie(hands)
+        self.prop, self._torn, self._lifted = prop, 0.0, False
+        self._width = float(np.linalg.norm(hands[0] - hands[1]))
+        self._gap = self._narrowest = mimed.gap
+        self._turn = mimed.turn(hands)
+        middle = mimed.palms.mean(axis=0)
+        self._offset, self._grasped_at = hands.mean(axis=0) - middle, middle[1]
+        self._rested_at = prop.center[1]
+        self._shift, self._clear, self._yield = np.zeros(3), 0.0, np.zeros((2, 3))
+        self._carried = hands
+
+    def step(self, mimed: Mimed, hands: Array, front: Array) -> Array | None:
+        """Return where the hands (2, 3) carry the prop [m]; None if they let it go.
+
+        ``hands`` are where they are now, and ``front`` the points of the body that the
+        prop must not touch, (N, 3) [m].
+        """
+        pulls, supported = self.prop.pulls, self.prop.supported
+        if self._lets_go(mimed, float(pulls.max()), supported):
+            return None
+        self.prop.turn_level()
+        follow = min(mimed.dt / _CALM, 1.0)
+        # Hands feel what they hold resist, on its support or against the body.
+        felt = pulls[:, None] / (_FELT + self.prop.weight)
+        resists = np.clip(felt - 1.0, 0.0, 1.0)
+        self._yield += resists * (hands - self._carried) * follow
+        self._yield *= 1.0 - (1.0 - resists) * min(mimed.dt / _FORGETTING, 1.0)
+        if mimed.seen.all():
+            turn = mimed.turn(mimed.palms)
+            self._turn = unit(self._turn + (turn - self._turn) * follow)
+        along = self._turn @ mimed.side
+        middle = self._middle(mimed, along, follow)
+        risen = smooth_step(np.array((middle[1] - self._grasped_at) / _RISE))
+        middle += (self._offset - _SINK * self._lifted * UP) * (1.0 - risen)
+        ahead = mimed.side[1]
+        center = middle + self.prop.center - hands.mean(axis=0)
+        clear = 0.0 if supported else self._clearance(center, ahead, front)
+        self._clear += (clear - self._clear) * follow
+        middle += self._clear * ahead
+        apart = 0.5 * self._width * along
+        self._carried = middle + np.array([apart, -apart]) + self._yield
+        return self._carried
+
+    def _lets_go(self, mimed: Mimed, pull: float, supported: bool) -> bool:
+        """Return True if the performer lets go of the prop, or it is torn away."""
+        opens = False
+        if mimed.seen.all():
+            self._gap += (mimed.gap - self._gap) * min(mimed.dt / _CALM, 1.0)
+            wider = (self._gap - self._narrowest) * mimed.dt / _DRIFTING
+            self._narrowest = min(self._narrowest + wider, self._gap)
+            opens = self._gap > self._narrowest + _PARTING or mimed.hang(mimed.palms)
+        self._lifted |= self.prop.center[1] > self._rested_at + _LIFTED
+        self._torn = self._torn + mimed.dt if pull > STRENGTH else 0.0
+        slow = float(np.linalg.norm(mimed.velocity.mean(axis=0))) < _RESTS
+        put_down = self._lifted and slow and supported and self.prop.rests
+        return opens or put_down or self._torn > _TEARING_TIME
+
+    def _middle(self, mimed: Mimed, along: Array, follow: float) -> Array:
+        """Return the point between the performer's hands [m], by those seen, (3,)."""
+        between, shift = mimed.palms.mean(axis=0), np.zeros(3)
+        if mimed.seen.any() and not mimed.seen.all():
+            hand, sign = (0, -0.5) if mimed.seen[0] else (1, 0.5)
+            shift = mimed.palms[hand] + sign * self._narrowest * along - between
+        self._shift += (shift - self._shift) * follow
+        return np.asarray(between + self._shift)
+
+    def _clearance(self, center: Array, ahead: Array, front: Array) -> float:
+        """Return how far ahead a prop at ``center`` must be to clear the body [m]."""
+        beside = np.abs(front[:, 1] - center[1]) < self.prop.extent(UP) + _FLESH
+        near = (front[beside] - center) @ ahead + self.prop.extent(ahead) + _FLESH
+        return float(near.max(initial=0.0))
