@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import psutil
 from batch_faults import batch, begin, scheduler
+from batch_figures import megabytes_a_file
 from batch_takes import make_takes
 
 from kinefilter.pipeline.batch import Row, crew, read_rows, task
@@ -76,11 +77,11 @@ def cost_of_a_take(folder: Path, count: int) -> Row:
         (getattr(many, key) - getattr(few, key)) / (count - count // 10)
         for key in ("busy", "read", "written")
     )
-    sizes = [p.stat().st_size / 1e6 for p in out.rglob("*.usdc")]
     lines = (out / _LINES).stat().st_size / count
     say(f"a take: {busy:.2f} s of a processor, {many.memory:.0f} MB at most, ")
     say(f"reads {read:.2f} MB, writes {written:.2f} MB, ")
-    say(f"of which the clip {sum(sizes) / count:.2f} MB, row {lines:.0f} bytes\n")
+    clip = megabytes_a_file(out, "*.usdc")
+    say(f"of which the clip {clip:.2f} MB, row {lines:.0f} bytes\n")
     return read_rows(out)[0]
 
 

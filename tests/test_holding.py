@@ -163,6 +163,17 @@ def test_a_reset_of_the_character_lets_go(tmp_path: Path) -> None:
     assert character.grasp.weight == 0.0
 
 
+def test_after_a_jump_hands_do_not_go_after_what_fell(tmp_path: Path) -> None:
+    character = holding(tmp_path / "parcel.xml", PARCEL)
+    place = character.positions, character.rotations
+    assert character.grasp is not None
+    for stays in (True, False):
+        character.start(*place, reset_props=not stays)
+        for _ in range(30):
+            character.step(*place, 1 / 30, stands=np.ones(2, dtype=bool))
+        assert (character.grasp.held is None) is stays
+
+
 def test_a_ball_that_rolled_is_as_large_as_before(tmp_path: Path) -> None:
     ball = 'type="sphere" size="0.12"'
     xml = PARCEL.replace('type="box" size="0.1 0.12 0.1"', ball)

@@ -69,7 +69,7 @@ def test_the_sdist_and_the_wheel_made_of_it_hold_every_file(tmp_path: Path) -> N
 
 
 def test_every_data_file_has_an_origin_and_every_dependency_a_license() -> None:
-    text = (ROOT / "LICENSES.md").read_text(encoding="utf-8")
+    text = (ROOT / "pipeline/embedded/LICENSES.md").read_text(encoding="utf-8")
     data, dependencies = text.split("\n## ")[2:]
     cells = [line.split("|")[1] for line in data.splitlines() if line.startswith("|")]
     named = [name for cell in cells for name in re.findall(r"`(.+?)`", cell)]

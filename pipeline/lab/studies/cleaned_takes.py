@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinefilter import CleanResult, clean, read_take
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Clip, Skeleton, Take
+from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import unit
+from kinefilter.characters.rotations import inverse, multiply, rotation_vector, unit
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import over
 from kinefilter.scenes.library import MOTIONS
@@ -84,7 +85,9 @@ def _figures(
         "wrists bent over 60 degrees, raw, %": _bent(take.positions, take.skeleton),
         "wrists bent over 60 degrees, %": _bent(result.clip.positions, take.skeleton),
         "hands off their direction, raw, degrees": _off(take, take.positions, truth),
+        "hands along forearms, degrees": _off(take, result.clip.positions, truth, 1),
         "hands off their direction, degrees": _off(take, result.clip.positions, truth),
+        "joints beyond their range, % of frames": _beyond(result.clip),
         "distance from the target, cm": 100.0 * float(trace.tracking_error.mean()),
         "external force, body weights": float(trace.external_force.mean()),
         "unexplained force, body weights": after.unexplained_force,
@@ -104,12 +107,26 @@ def _bent(positions: Array, skeleton: Skeleton) -> float:
     return 100.0 * bent / seen.sum() if seen.any() else np.nan
 
 
-def _off(take: Take, positions: Array, truth: Array | None) -> float:
-    """Return how far hands point off their true direction [degrees]; NaN if unknown."""
+def _beyond(clip: Clip) -> float:
+    """Return the share of frames with a joint over 2 degrees beyond its range [%]."""
+    ends, starts = clip.skeleton.segments, clip.skeleton.segment_parents
+    relative = multiply(inverse(clip.rotations[:, starts]), clip.rotations[:, ends])
+    most = np.array([joint_range(clip.skeleton.joints[j]) for j in ends])
+    over = np.linalg.norm(rotation_vector(relative), axis=-1) > most + np.radians(2.0)
+    return 100.0 * float(over.any(axis=1).mean())
+
+
+def _off(take: Take, positions: Array, truth: Array | None, before: int = 0) -> float:
+    """Return how far hands point off their true direction [degrees]; NaN if unknown.
+
+    With ``before``, hands are taken to point as the bone so many bones before them.
+    """
     if truth is None:
         return np.nan
-    wrists, hands = take.skeleton.sides("Wrist"), take.skeleton.sides("Hand")
-    found, true = (unit(p[:, hands] - p[:, wrists]) for p in (positions, truth))
+    parts = [take.skeleton.sides(part) for part in ("Hand", "Wrist", "Elbow")]
+    ends, starts = parts[before : before + 2]
+    found = unit(positions[:, ends] - positions[:, starts])
+    true = unit(truth[:, parts[0]] - truth[:, parts[1]])
     cosine = np.clip(np.vecdot(found, true), -1.0, 1.0)
     return float(np.degrees(np.nanmean(np.arccos(cosine))))
 
