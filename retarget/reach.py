@@ -35,9 +35,8 @@ class Reach:
     ) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations, wxyz, (J, 4) with the hands moved.
 
-        ``moves`` are those of the left and the right hand [m], shape (2, 3). For what
-        the arms do not reach the trunk bends, then the knees, as far as they can; feet
-        stay.
+        ``moves`` are those of the left and the right hand [m], shape (2, 3). Where the
+        arms are too short, the trunk bends, and then the knees; the feet stay.
         """
         moved, turned = positions.copy(), rotations.copy()
         wrists = positions[self._arms[:, 2]] + moves

@@ -1,8 +1,8 @@
 """Chains of short bones taken for one straight segment.
 
-The bones of hands and neck are hardly longer than a tracker's errors. Taken one by one,
-they point anywhere; taken together, how far a joint counts depends on its distance from
-where the chain starts, and without them the chain goes on from the segment before it.
+The bones of hands and neck are hardly longer than a tracker's errors, so none of them
+shows where it points. Together they do: joints count by their distance from the start
+of the chain, and where none is reliable, the chain continues the segment before it.
 """
 
 from __future__ import annotations

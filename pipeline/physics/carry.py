@@ -30,7 +30,7 @@ _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
 
 
 @dataclass(frozen=True, eq=False)
-class Mimed:
+class PerformerHands:
     """What the performer's hands do in a frame, left and right; y up."""
 
     palms: Array
@@ -46,8 +46,8 @@ class Mimed:
     dt: float
     """Time since the last frame [s]."""
 
-    def hang(self, points: Array) -> bool:
-        """Return whether points (N, 3) [m] are not in front of the body."""
+    def behind(self, points: Array) -> bool:
+        """Return True if points (N, 3) [m] are not in front of the body."""
         return bool(((points - self.root) @ self.side[1]).mean() < _AHEAD)
 
     @property
@@ -63,42 +63,44 @@ class Mimed:
 class Carry:
     """Ties a prop to ``hands``, where those of the character are [m], (2, 3)."""
 
-    def __init__(self, prop: Holdable, hands: Array, mimed: Mimed) -> None:
+    def __init__(self, prop: Holdable, hands: Array, performer: PerformerHands) -> None:
         prop.tie(hands)
         self.prop, self._torn, self._lifted = prop, 0.0, False
         self._width = float(np.linalg.norm(hands[0] - hands[1]))
-        self._gap = self._narrowest = mimed.gap
-        self._turn = mimed.turn(hands)
-        middle = mimed.palms.mean(axis=0)
+        self._gap = self._narrowest = performer.gap
+        self._turn = performer.turn(hands)
+        middle = performer.palms.mean(axis=0)
         self._offset, self._grasped_at = hands.mean(axis=0) - middle, middle[1]
         self._rested_at = prop.center[1]
         self._shift, self._clear, self._yield = np.zeros(3), 0.0, np.zeros((2, 3))
         self._carried = hands
 
-    def step(self, mimed: Mimed, hands: Array, front: Array) -> Array | None:
+    def step(
+        self, performer: PerformerHands, hands: Array, front: Array
+    ) -> Array | None:
         """Return where the hands (2, 3) carry the prop [m]; None if they let it go.
 
         ``hands`` are where they are now, and ``front`` the points of the body that the
         prop must not touch, (N, 3) [m].
         """
         pulls, supported = self.prop.pulls, self.prop.supported
-        if self._lets_go(mimed, float(pulls.max()), supported):
+        if self._lets_go(performer, float(pulls.max()), supported):
             return None
         self.prop.turn_level()
-        follow = min(mimed.dt / _CALM, 1.0)
+        follow = min(performer.dt / _CALM, 1.0)
         # Hands feel what they hold resist, on its support or against the body.
         felt = pulls[:, None] / (_FELT + self.prop.weight)
         resists = np.clip(felt - 1.0, 0.0, 1.0)
         self._yield += resists * (hands - self._carried) * follow
-        self._yield *= 1.0 - (1.0 - resists) * min(mimed.dt / _FORGETTING, 1.0)
-        if mimed.seen.all():
-            turn = mimed.turn(mimed.palms)
+        self._yield *= 1.0 - (1.0 - resists) * min(performer.dt / _FORGETTING, 1.0)
+        if performer.seen.all():
+            turn = performer.turn(performer.palms)
             self._turn = unit(self._turn + (turn - self._turn) * follow)
-        along = self._turn @ mimed.side
-        middle = self._middle(mimed, along, follow)
+        along = self._turn @ performer.side
+        middle = self._middle(performer, along, follow)
         risen = smooth_step(np.array((middle[1] - self._grasped_at) / _RISE))
         middle += (self._offset - _SINK * self._lifted * UP) * (1.0 - risen)
-        ahead = mimed.side[1]
+        ahead = performer.side[1]
         center = middle + self.prop.center - hands.mean(axis=0)
         clear = 0.0 if supported else self._clearance(center, ahead, front)
         self._clear += (clear - self._clear) * follow
@@ -107,26 +109,27 @@ class Carry:
         self._carried = middle + np.array([apart, -apart]) + self._yield
         return self._carried
 
-    def _lets_go(self, mimed: Mimed, pull: float, supported: bool) -> bool:
+    def _lets_go(self, performer: PerformerHands, pull: float, supported: bool) -> bool:
         """Return True if the performer lets go of the prop, or it is torn away."""
         opens = False
-        if mimed.seen.all():
-            self._gap += (mimed.gap - self._gap) * min(mimed.dt / _CALM, 1.0)
-            wider = (self._gap - self._narrowest) * mimed.dt / _DRIFTING
+        if performer.seen.all():
+            self._gap += (performer.gap - self._gap) * min(performer.dt / _CALM, 1.0)
+            wider = (self._gap - self._narrowest) * performer.dt / _DRIFTING
             self._narrowest = min(self._narrowest + wider, self._gap)
-            opens = self._gap > self._narrowest + _PARTING or mimed.hang(mimed.palms)
+            parted = self._gap > self._narrowest + _PARTING
+            opens = parted or performer.behind(performer.palms)
         self._lifted |= self.prop.center[1] > self._rested_at + _LIFTED
-        self._torn = self._torn + mimed.dt if pull > STRENGTH else 0.0
-        slow = float(np.linalg.norm(mimed.velocity.mean(axis=0))) < _RESTS
+        self._torn = self._torn + performer.dt if pull > STRENGTH else 0.0
+        slow = float(np.linalg.norm(performer.velocity.mean(axis=0))) < _RESTS
         put_down = self._lifted and slow and supported and self.prop.rests
         return opens or put_down or self._torn > _TEARING_TIME
 
-    def _middle(self, mimed: Mimed, along: Array, follow: float) -> Array:
+    def _middle(self, performer: PerformerHands, along: Array, follow: float) -> Array:
         """Return the point between the performer's hands [m], by those seen, (3,)."""
-        between, shift = mimed.palms.mean(axis=0), np.zeros(3)
-        if mimed.seen.any() and not mimed.seen.all():
-            hand, sign = (0, -0.5) if mimed.seen[0] else (1, 0.5)
-            shift = mimed.palms[hand] + sign * self._narrowest * along - between
+        between, shift = performer.palms.mean(axis=0), np.zeros(3)
+        if performer.seen.any() and not performer.seen.all():
+            hand, sign = (0, -0.5) if performer.seen[0] else (1, 0.5)
+            shift = performer.palms[hand] + sign * self._narrowest * along - between
         self._shift += (shift - self._shift) * follow
         return np.asarray(between + self._shift)
 

@@ -195,7 +195,7 @@ class PhysicsFilter(PulledCharacter):
                 # Hold the first target until the initial transient is gone.
                 for _ in range(_SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
-            elif self.compliance is None and self.grasp is None:
+            elif self.compliance is None and not self.grasp.props:
                 trace.reset[k] = not self._follow(moves[k % _CHUNK], feet)
             else:  # which changes the targets
                 gained = accelerations[k]

@@ -18,7 +18,7 @@ from kinefilter.characters.rotations import cross, unit
 from kinefilter.retarget.reach import Reach
 from kinefilter.retarget.stance import smooth_step
 
-from .carry import STRENGTH, Carry, Mimed
+from .carry import STRENGTH, Carry, PerformerHands
 from .holdable import HANDS, HORIZONTAL, UP, Holdable
 from .spring import damped
 
@@ -98,19 +98,21 @@ class Grasp:
         Ties or unties the hands by where they are now. ``seen`` says which hands (left,
         right) the sensor sees, by default both: a hidden hand keeps what it holds.
         """
-        mimed = self._mimed(positions, seen, dt)
+        if not self.props:
+            return positions, rotations
+        performer = self._performer(positions, seen, dt)
         wanted = np.zeros((2, 3))
         if self._carry is None:
-            wanted = self._seek(mimed)
+            wanted = self._seek(performer)
             if self._leaving > 0.0:
-                wanted = self._leave(mimed)
+                wanted = self._leave(performer)
         if self._carry is not None:
             sites = from_mujoco(self._data.site_xpos[self._front])
             thighs = 0.5 * (sites[2:4] + sites[4:6])
             front = np.concatenate([sites, thighs])
-            carried = self._carry.step(mimed, self._now, front)
+            carried = self._carry.step(performer, self._now, front)
             if carried is not None:
-                wanted = carried - mimed.palms
+                wanted = carried - performer.palms
             else:
                 self.drop()
                 self._beside, self._leaving = self._now, _LEAVING_TIME
@@ -120,12 +122,14 @@ class Grasp:
             return positions, rotations
         return self._reach(positions, rotations, self._away)
 
-    def _mimed(self, positions: Array, seen: Flags | None, dt: float) -> Mimed:
+    def _performer(
+        self, positions: Array, seen: Flags | None, dt: float
+    ) -> PerformerHands:
         palms, shoulders = positions[self._palms], positions[self._shoulders]
         before = palms if self._before is None else self._before
         self._before = palms
         left = unit((shoulders[0] - shoulders[1]) * HORIZONTAL)
-        return Mimed(
+        return PerformerHands(
             palms=palms,
             velocity=(palms - before) / dt,
             seen=np.ones(2, dtype=bool) if seen is None else seen,
@@ -139,9 +143,9 @@ class Grasp:
         """Positions of the character's hands [m], shape (2, 3)."""
         return from_mujoco(self._data.site_xpos[self._sites])
 
-    def _seek(self, mimed: Mimed) -> Array:
+    def _seek(self, performer: PerformerHands) -> Array:
         """Return the moves (2, 3) of the hands to a prop; tie them if they touch it."""
-        palms, nothing = mimed.palms, np.zeros((2, 3))
+        palms, nothing = performer.palms, np.zeros((2, 3))
         if self._waited == 0.0:
             self._sought = self._nearest(palms)
         prop = self._sought
@@ -151,21 +155,21 @@ class Grasp:
             return nothing
         lines = places - palms
         far = float(np.linalg.norm(lines, axis=-1).max())
-        hang = mimed.hang(palms) or mimed.hang(places)
-        if hang or far > (_LOST if self._waited else _FAR):
+        behind = performer.behind(palms) or performer.behind(places)
+        if behind or far > (_LOST if self._waited else _FAR):
             self._waited = 0.0
             return nothing
-        closing = np.vecdot(unit(lines), mimed.velocity).max()
+        closing = np.vecdot(unit(lines), performer.velocity).max()
         share = (_FAR - far) / (_FAR - _NEAR)
         if self._waited > 0.0 or (share > _LIKELY and closing < _SETTLED):
-            self._waited += mimed.dt
+            self._waited += performer.dt
             share = 1.0
         if self._waited > _PATIENCE:
             self._release(prop)
             return nothing
         hands, waited = self._now, self._waited
         if waited > 0.0 and prop.touched(hands):
-            self._carry, self._waited = Carry(prop, hands, mimed), 0.0
+            self._carry, self._waited = Carry(prop, hands, performer), 0.0
         reached = self._around(prop, places, hands) - palms
         return smooth_step(np.array(np.clip(share, 0.0, 1.0))) * reached
 
@@ -198,11 +202,11 @@ class Grasp:
         prop.untie()
         self._carry, self._released, self._waited = None, prop, 0.0
 
-    def _leave(self, mimed: Mimed) -> Array:
+    def _leave(self, performer: PerformerHands) -> Array:
         """Return the moves (2, 3) of hands that first go aside from what they put down.
 
         From there they go to where the performer's are.
         """
-        self._leaving -= mimed.dt
+        self._leaving -= performer.dt
         outward = unit(self._beside - self._beside.mean(axis=0))
-        return np.asarray(self._beside + _AROUND * outward - mimed.palms)
+        return np.asarray(self._beside + _AROUND * outward - performer.palms)

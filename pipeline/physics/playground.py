@@ -115,10 +115,9 @@ class Playground:
 
     def _put_back(self) -> None:
         """Put props that hands can hold where the motion, which repeats, begins."""
-        if (grasp := self.character.grasp) is not None:
-            grasp.start()
-            for prop in grasp.props:
-                prop.put_back()
+        self.character.grasp.start()
+        for prop in self.character.grasp.props:
+            prop.put_back()
 
     def _seen(self) -> Flags:
         """Return which hands the sensor saw."""

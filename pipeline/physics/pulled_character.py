@@ -106,8 +106,7 @@ class PulledCharacter:
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         self._props = np.isin(model.body_rootid, free[free != root])
         self._movable = bool(self._props.any())
-        grasp = Grasp(model, self.data, body)
-        self.grasp = grasp if grasp.props else None
+        self.grasp = Grasp(model, self.data, body)
         self._weight = float(body.mass * GRAVITY)
         self._momentum = Momentum(self.data, self._sites, joint_masses(body), root)
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
@@ -143,8 +142,7 @@ class PulledCharacter:
         self._momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
-        if self.grasp is not None:
-            self.grasp.start(props_stay=not reset_props)
+        self.grasp.start(props_stay=not reset_props)
         self._pushes: list[tuple[int, Array, float]] = []
         if self.compliance is not None:
             self.limp &= not self.compliance.fallen
@@ -189,12 +187,10 @@ class PulledCharacter:
             raise InputError(f"dt is {dt:g} s; give the time since the last step, > 0")
         if (gives := self.compliance) is not None:
             positions, rotations = self._give_way(gives, positions, rotations, dt)
-        if self.grasp is not None:
-            if self._yields:
-                self.grasp.start()
-            else:
-                target = self.grasp.target(positions, rotations, dt, seen)
-                positions, rotations = target
+        if self._yields:
+            self.grasp.start()
+        else:
+            positions, rotations = self.grasp.target(positions, rotations, dt, seen)
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt
         if acceleration is None:
@@ -226,9 +222,9 @@ class PulledCharacter:
         n, ctrl, quats = after_p.size, data.ctrl, data.mocap_quat
         ctrl[n : len(move.forward)] = move.forward[n:]
         stiffness, forward = self._stiffness[:n], move.forward[:n]
-        if self.grasp is not None and self.grasp.held is not None:
+        if (held := self.grasp.weight) > 0.0:
             forward = forward.copy()
-            forward.reshape(-1, 3)[self._palms, 2] += 0.5 * self.grasp.weight
+            forward.reshape(-1, 3)[self._palms, 2] += 0.5 * held
         updates, substeps = steps_in(dt)
         model.opt.timestep = dt / (updates * substeps)
         model.opt.disableactuator = self._disabled | (self.limp << PULLS)
@@ -250,8 +246,7 @@ class PulledCharacter:
             mujoco.mj_resetData(model, data)
             data.qpos[:], data.qvel[:] = before  # of the props
             self._place(after_p, after_q)
-            if self.grasp is not None:
-                self.grasp.drop()
+            self.grasp.drop()
             self._momentum.start()
             self._external[:] = 0.0
             return False
@@ -298,11 +293,10 @@ class PulledCharacter:
         if all(wanted):
             wanted = [move.left_share, 1.0 - move.left_share]
         most = move.duration / _LOADING_TIME
-        held = 0.0 if self.grasp is None else self.grasp.weight
         for foot, (load, goal) in enumerate(zip(self._load, wanted, strict=True)):
             change = min(max(goal - load, -most), most)
             self._load[foot] = load + change if goal > 0.0 else 0.0
-            pressure = self._load[foot] * (move.upward + held)
+            pressure = self._load[foot] * (move.upward + self.grasp.weight)
             self.data.xfrc_applied[self._soles[foot], 2] = -pressure
 
     def _diverged(self, target: Array, before: float) -> bool:

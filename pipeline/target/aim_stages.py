@@ -27,7 +27,7 @@ from .target_stages import posed
 
 _LEAST_WEIGHT = 0.05  # of an unreliable joint; a reliable one has 1
 _Filter = Callable[[Array, Array], tuple[Array, Array]]
-"""Filters values (..., K, C) by their weights (..., K), and filters these too."""
+"""Smooths values (..., K, C) by their weights (..., K); returns both smoothed."""
 
 
 class _Aim(Stage):
