@@ -2,7 +2,7 @@
 
 A limb's direction in the target's rest pose and in our T-pose differ by a constant
 rotation. After that, the target's bone rotates like our segment, including twist.
-Twist bones spread the twist along a limb.
+Twist bones spread the twist along a limb, and IK bones follow hands and feet.
 Trunk, shoulders and feet have a different shape on every skeleton, so all rest poses
 count as upright and flat there, and only headings differ.
 """
@@ -91,6 +91,7 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
         motion.bend(side, _ARM, motion.limb_end(side, _ARM))
     result = motion.posed(hips)
     _move_ancestors(rig, result)
+    _move_ik_bones(rig, result)
     return Retargeted(*map(read_only, result))
 
 
@@ -110,6 +111,13 @@ def _move_ancestors(rig: TargetRig, motion: Retargeted) -> None:
     below = rest.positions[led] - rest.positions[pelvis] * _LEVEL
     motion.positions[:, led] = frame.restore(np.tile(below, (len(frame.yaw), 1, 1)))
     motion.rotations[:, led] = about_y(frame.yaw)[:, None]
+
+
+def _move_ik_bones(rig: TargetRig, motion: Retargeted) -> None:
+    """Move IK bones along with the joints that they follow, in place."""
+    for n, joint in rig.followed.items():
+        motion.rotations[:, n] = motion.rotations[:, joint]
+        motion.positions[:, n] = motion.positions[:, joint]
 
 
 class _Motion:

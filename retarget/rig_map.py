@@ -17,6 +17,8 @@ twist_of: Makes it a twist bone, which has only this field, ``parent`` and ``at`
     the parent, or the next one along the limb.
 at: Its position on that segment, 0 at the start and 1 at the end, and its share of the
     twist, where the start of the segment has none.
+follows: Makes it an IK bone, which has only this field and ``parent``: the bone that it
+    is always in the place of, turned the same way.
 
 Maps in ``source_rigs`` describe skeletons from which motion is read. Joints of the
 trunk are named as in Kinect v2. Limbs have only a left side: names on the right begin
@@ -69,8 +71,9 @@ PARTS = ("pelvis", *CHAINS)
 OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
-_FIELDS = {"parent", "turned_by", "offset", "axes", "twist_of", "at"}
+_FIELDS = {"parent", "turned_by", "offset", "axes", "twist_of", "at", "follows"}
 _OF_TWISTS = {"parent", "twist_of", "at"}
+_OF_IK_BONES = {"parent", "follows"}
 BEYOND = {
     above: part
     for part, above in CHAINS.items()
@@ -116,6 +119,13 @@ class MapBone:
     """Part of the body whose twist it shares; None if it is no twist bone."""
     at: float = 0.0
     """Position of a twist bone along its parent's segment, 0 to 1."""
+    follows: str | None = None
+    """Name of the bone in whose place an IK bone always is; None if it is none."""
+
+    @property
+    def is_built(self) -> bool:
+        """Whether it is part of skeletons that are built from the map."""
+        return bool(self.offset is not None or self.twist_of or self.follows)
 
 
 @dataclass(frozen=True)
@@ -200,6 +210,12 @@ def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
         raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
     if "twist_of" in row or "at" in row:
         return _twist_bone(name, row, where)
+    if "follows" in row:
+        if not isinstance(row["follows"], str) or set(row) != _OF_IK_BONES:
+            raise InputError(
+                f"{where}: an IK bone has only a parent, and follows, a bone's name"
+            )
+        return MapBone(name, parent, None, None, follows=row["follows"])
     axes = _axes(row.get("axes"), where) or axes
     if offset is not None:
         numbers = offset if isinstance(offset, list) else []
@@ -231,6 +247,11 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
             raise InputError(
                 f"{source}: bone {shown(bone.name)}: its parent {shown(bone.parent)} "
                 "is not listed before it; list every parent before its children"
+            )
+        if bone.follows is not None and bone.follows not in names:
+            raise InputError(
+                f"{source}: bone {shown(bone.name)}: follows {shown(bone.follows)}, "
+                "which is not listed before it; list bones before those that follow"
             )
         names.add(bone.name)
         if bone.twist_of is not None:

@@ -66,6 +66,8 @@ class TargetRig:
     """Height of the floor [m]."""
     twists: dict[int, Twist] = field(default_factory=dict)
     """What turns each twist bone, by index of its joint."""
+    followed: dict[int, int] = field(default_factory=dict)
+    """The joint that each IK bone follows, by index of the IK bone."""
 
     def joint(self, part: str) -> int:
         """Return the first joint that a part turns."""
@@ -96,7 +98,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     person's; the rest scales with the stature. The soles are at y = 0. An InputError
     says if the map lacks offsets.
     """
-    bones = [b for b in rig_map.bones if b.offset is not None or b.twist_of]
+    bones = [bone for bone in rig_map.bones if bone.is_built]
     names = tuple(bone.name for bone in bones)
     for bone in bones:
         if bone.parent is not None and bone.parent not in names:
@@ -129,10 +131,12 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
         if parents[n] in moving:
             moving.append(n)
     positions[moving, 1] += height - positions[joints, 1].min()
+    for n, joint in rig.followed.items():
+        positions[n] = positions[joint]
     rest = replace(rest, positions=positions, axes_in_bvh=rig_map.axes_in_bvh)
     names = tuple(rig_map.prefix + name for name in names)
-    rest = replace(rest, names=names, axes=_axes(bones, rest))
-    return TargetRig(rest, rig.parts, 0.0, rig.twists)
+    rest = replace(rest, names=names, axes=_axes(bones, rest, rig.followed))
+    return replace(rig, rest=rest, floor=0.0)
 
 
 def _chained(offsets: Array, parents: list[int]) -> Array:
@@ -155,7 +159,9 @@ def _trunk_scale(rig: TargetRig, body: Body) -> Array:
     return np.where((scale > 0.5) & (scale < 2.0), scale, 1.0)
 
 
-def _axes(bones: list[MapBone], rest: RestPose) -> Array | None:
+def _axes(
+    bones: list[MapBone], rest: RestPose, followed: dict[int, int]
+) -> Array | None:
     """Return the world rotation of each bone's axes, wxyz, (N, 4); None: identity."""
     if not any(bone.axes for bone in bones):
         return None
@@ -163,6 +169,8 @@ def _axes(bones: list[MapBone], rest: RestPose) -> Array | None:
     for n, bone in enumerate(bones):
         if bone.twist_of:
             rotations[n] = rotations[rest.parents[n]]
+        if n in followed:
+            rotations[n] = rotations[followed[n]]
         if bone.axes is None:
             continue
         # A bone points to its first child; the last of a chain continues its parent.
@@ -207,7 +215,7 @@ def matched_rig(rig_map: RigMap, rest: RestPose, body: Body) -> TargetRig:
     rig = TargetRig(rest, _joints_of_parts(rig_map, rest), 0.0)
     _check_chains(rest, rig.parts)
     _check_lengths(rig)
-    rig = replace(rig, twists=_twists(rig_map, rig))
+    rig = replace(rig, twists=_twists(rig_map, rig), followed=_followed(rig_map, rest))
     joints, height = _lowest(rig, body)
     lowest = float(rest.positions[joints, 1].min())
     if 0.0 <= lowest <= _ON_FLOOR * rig.leg_length:
@@ -235,6 +243,14 @@ def _twists(rig_map: RigMap, rig: TargetRig) -> dict[int, Twist]:
         share = bone.at - 1.0 if bone.twist_of == limb else bone.at
         twists[names.index(name)] = Twist(rig.joint(limb), joint, above, axis, share)
     return twists
+
+
+def _followed(rig_map: RigMap, rest: RestPose) -> dict[int, int]:
+    """Return the joint that each IK bone of a map follows, where both are there."""
+    joints = {rig_map.plain(name): n for n, name in enumerate(rest.names)}
+    pairs = [(b.name, b.follows) for b in rig_map.bones if b.follows is not None]
+    found = [tuple(joints.get(rig_map.plain(name)) for name in pair) for pair in pairs]
+    return {n: joint for n, joint in found if n is not None and joint is not None}
 
 
 def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:

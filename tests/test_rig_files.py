@@ -97,7 +97,7 @@ def test_usd_validation_has_nothing_to_say(
     assert prims == {"Character", "Skeleton", "Animation"}
 
 
-def test_only_root_and_pelvis_of_an_unreal_clip_change_place(
+def test_only_root_pelvis_and_ik_bones_of_an_unreal_clip_change_place(
     clip: Clip, tmp_path: Path
 ) -> None:
     write_clip(clip, tmp_path / "clip.usdc", Export(rig="unreal"))
@@ -108,9 +108,28 @@ def test_only_root_and_pelvis_of_an_unreal_clip_change_place(
     moved = np.abs(last - first).max(axis=1) > 0.0
     joints = [j.rpartition("/")[2] for j in animation.GetJointsAttr().Get()]
     assert [joint for joint, far in zip(joints, moved, strict=True) if far] == [
-        "root",
-        "pelvis",
+        *("root", "pelvis", "ik_foot_l", "ik_foot_r", "ik_hand_gun", "ik_hand_l"),
     ]
+
+
+@pytest.mark.parametrize("name", ["unreal", "unreal4"])
+@pytest.mark.parametrize("root", ["travel", "in-place"])
+def test_ik_bones_are_where_hands_and_feet_are(
+    clip: Clip, tmp_path: Path, name: str, root: str
+) -> None:
+    travel = "travel" if root == "travel" else "in-place"
+    write_clip(clip, tmp_path / "clip.usdc", Export(rig=name, root=travel))
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdc"))
+    prim = stage.GetPrimAtPath("/Character/Skeleton")
+    query = UsdSkel.Cache().GetSkelQuery(UsdSkel.Skeleton(prim))
+    joints = [joint.rpartition("/")[2] for joint in query.GetJointOrder()]
+    followed = [("ik_hand_gun", "hand_r")]
+    followed += [(f"ik_{end}", end) for end in ("foot_l", "foot_r", "hand_l", "hand_r")]
+    for code in (0, 24, 49):
+        transforms = np.array(query.ComputeJointSkelTransforms(code))
+        for bone, end in followed:
+            there, here = (transforms[joints.index(joint)] for joint in (end, bone))
+            np.testing.assert_allclose(here, there, atol=1e-5)
 
 
 # Targets

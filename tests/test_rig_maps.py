@@ -26,12 +26,16 @@ NAMES = {
         upperarm_twist_01_l upperarm_twist_02_l lowerarm_twist_01_l lowerarm_twist_02_l
         upperarm_twist_01_r upperarm_twist_02_r lowerarm_twist_01_r lowerarm_twist_02_r
         thigh_twist_01_l thigh_twist_02_l calf_twist_01_l calf_twist_02_l
-        thigh_twist_01_r thigh_twist_02_r calf_twist_01_r calf_twist_02_r""",
+        thigh_twist_01_r thigh_twist_02_r calf_twist_01_r calf_twist_02_r
+        ik_foot_root ik_foot_l ik_foot_r ik_hand_root ik_hand_gun ik_hand_l
+        ik_hand_r""",
     "unreal4": """root pelvis spine_01 spine_02 spine_03 neck_01 head clavicle_l
         upperarm_l lowerarm_l hand_l clavicle_r upperarm_r lowerarm_r hand_r thigh_l
         calf_l foot_l ball_l thigh_r calf_r foot_r ball_r upperarm_twist_01_l
         lowerarm_twist_01_l thigh_twist_01_l calf_twist_01_l upperarm_twist_01_r
-        lowerarm_twist_01_r thigh_twist_01_r calf_twist_01_r""",
+        lowerarm_twist_01_r thigh_twist_01_r calf_twist_01_r
+        ik_foot_root ik_foot_l ik_foot_r ik_hand_root ik_hand_gun ik_hand_l
+        ik_hand_r""",
     "unity": """Hips Spine Chest UpperChest Neck Head LeftShoulder LeftUpperArm
         LeftLowerArm LeftHand RightShoulder RightUpperArm RightLowerArm RightHand
         LeftUpperLeg LeftLowerLeg LeftFoot LeftToes RightUpperLeg RightLowerLeg
@@ -240,6 +244,13 @@ def test_a_map_without_neck_clavicles_and_toes_is_a_map(tmp_path: Path) -> None:
          "'T': a twist bone has only"),
         ('Head = {', 'T = { parent = "Chest", twist_of = "head", at = 0.5 }\nHead = {',
          "'T': twist_of is 'head', expected"),
+        ('Head = {', 'T = { parent = "Chest", follows = "Head" }\nHead = {',
+         "'T': follows 'Head', which is not listed before it"),
+        ('Head = {', 'T = { parent = "Chest", follows = "Hips", at = 0 }\nHead = {',
+         "'T': a twist bone has only"),
+        ('Head = {', 'T = { follows = "Hips" }\nHead = {', "'T': an IK bone has only"),
+        ('Head = {', 'T = { parent = "Hips", follows = 4 }\nHead = {',
+         "'T': an IK bone has only"),
         ('"left shin", offset = [0, -1, 0]', '"left shin", offset = [0, 0, 0]',
          "'LUp' and 'LLow' are in one place"),
         ('Hips = { ', 'Floor = { offset = [0, 0, 0] }\nHips = { ', "has 2 roots"),

@@ -27,7 +27,7 @@ from kinefilter.characters.rotations import (
 from .export import Export
 from .files import AnyPath, new_text, open_text
 from .recording import FRAMES_AT_ONCE
-from .rig import Rig, RigMotion
+from .rig import RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
@@ -259,8 +259,8 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     # Node by node: unwrapping angles needs all frames, which for all nodes at once
     # would be gigabytes.
     for n in rig.depth_first:
-        if n in (0, rig.mover):
-            place = moved.places.get(n, np.tile(rig.root, (len(clip), 1)))
+        if n in moved.places:
+            place = moved.places[n]
             if moved.rig.axes is not None and rig.axes is None and n > 0:
                 place = rotate(moved.rig.axes[rig.parents[n]], place)
             columns.append(export.points(place))
@@ -269,14 +269,14 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     motion = np.concatenate(columns, axis=1)
     row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     offsets = export.points(rig.at_rest[0])
-    offsets[[0, rig.mover]] = 0.0  # readers add the channels to it or replace it
+    offsets[list(moved.places)] = 0.0  # readers add the channels to it or replace it
     channels = [f"{axis}rotation" for axis in order]
     duration = float(clip.time[-1] - clip.time[0])
     mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
     frame_time = 1.0 / export.fps if export.fps else mean
     with new_text(path) as file:
         file.write("HIERARCHY\n")
-        file.writelines(_hierarchy(rig, offsets, channels, 0, 0))
+        file.writelines(_hierarchy(moved, offsets, channels, 0, 0))
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for span in chunks(len(motion), FRAMES_AT_ONCE):
             numbers = motion[span]
@@ -284,17 +284,19 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
 
 
 def _hierarchy(
-    rig: Rig, offsets: Array, angles: list[str], node: int, depth: int
+    moved: RigMotion, offsets: Array, angles: list[str], node: int, depth: int
 ) -> Iterator[str]:
+    rig = moved.rig
     pad, inner = "\t" * depth, "\t" * (depth + 1)
-    moves = node in (0, rig.mover)
-    channels = ["Xposition", "Yposition", "Zposition", *angles] if moves else angles
+    channels = angles
+    if node in moved.places:
+        channels = ["Xposition", "Yposition", "Zposition", *angles]
     yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}\n{pad}{{\n"
     yield f"{inner}{_offset(offsets[node])}"
     yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n"
     for child, parent in enumerate(rig.parents):
         if parent == node:
-            yield from _hierarchy(rig, offsets, angles, child, depth + 1)
+            yield from _hierarchy(moved, offsets, angles, child, depth + 1)
     if node not in rig.parents:
         end = _offset(_END_SHARE * offsets[node])
         yield f"{inner}End Site\n{inner}{{\n{inner}\t{end}{inner}}}\n"

@@ -72,7 +72,7 @@ def sparse_curves(
         place = rig.at_rest[0][node]
         if node in paths:
             errors = partial(chain.position_errors, node)
-            curve, place = _fitted(node, stamps, paths[node], errors)
+            curve, place = _fitted(node, stamps, chain.wanted_place(node), errors)
             yield curve
         chain.put(node, place)
         target = chain.world[:, node]
@@ -127,6 +127,14 @@ class _Chain:
         if parent < 0:
             return place
         return self._positions[:, parent] + rotate(self.turned[:, parent], place)
+
+    def wanted_place(self, node: int) -> Array:
+        """Return the local positions [m] (T, 3) that put a node onto its target."""
+        parent, targets = self._rig.parents[node], self._targets[:, node]
+        if parent < 0:
+            return targets
+        away = targets - self._positions[:, parent]
+        return np.asarray(rotate(inverse(self.turned[:, parent]), away))
 
     def turn(self, node: int, values: Array) -> Array:
         """Return the world rotations (T, 4) of a node from its local ones."""

@@ -38,9 +38,6 @@ class Rig:
     axes: Array | None = None
     """World rotation of each node's axes in the rest pose, wxyz, shape (N, 4). None
     stands for the world's axes."""
-    mover: int = 0
-    """Index of the node that moves relative to its parent: the root, or the pelvis of a
-    rig whose root stays on the floor."""
     axes_in_bvh: bool = False  # BVH has the axes in its motion, and so no rest pose
 
     def __len__(self) -> int:
@@ -168,8 +165,8 @@ class RigMotion:
     rig: Rig
     rotations: Array  # world rotations of the segments from rest, wxyz, (T, S, 4)
     places: Mapping[int, Array]
-    """Local positions [m] (T, 3) of the nodes that move, by index: ``rig.mover``, and
-    the root if it moves over the floor."""
+    """Local positions [m] (T, 3) of the nodes that move in their parent, by index: the
+    root, the pelvis, and IK bones."""
     positions: Array  # world positions [m] of all distinct joints, shape (T, J, 3)
     turned_by: Mapping[str, int]
     """Index of the sensor's joint at the end of the segment that rotates a node, by the
@@ -190,24 +187,25 @@ def retargeted_motion(
     travel: RootMotion = "travel",
 ) -> RigMotion:
     """Return a motion of the sensor's skeleton on a target, with the root motion."""
-    rest, mover = target.rest, target.joint("pelvis")
+    rest = target.rest
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
     tree = (rest.names, rest.parents, offsets, np.arange(len(rest)), rest.positions[0])
-    rig = Rig(*tree, rest.axes, mover, rest.axes_in_bvh)
+    rig = Rig(*tree, rest.axes, rest.axes_in_bvh)
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":
         frame = rig_frame(target, motion)
         frame = frame if travel == "none" else frame.unturned
         rotations = frame.remove_rotations(rotations)
         positions = frame.remove(positions)
-    places, above = {mover: positions[:, mover]}, rig.parents[mover]
-    if above >= 0:
-        path = positions[:, mover] - positions[:, above]
+    places = {0: positions[:, 0]}
+    for node in {target.joint("pelvis"), *target.followed} - {0}:
+        above = rig.parents[node]
+        path = positions[:, node] - positions[:, above]
         path = rotate(inverse(rotations[:, above]), path)
         if rig.axes is not None:
             path = rotate(inverse(rig.axes[above]), path)
-        places = {0: positions[:, 0], mover: path}
+        places[node] = path
     turned_by = {
         rest.names[node]: segment_of(skeleton, part)
         for part, nodes in target.parts.items()
