@@ -29,6 +29,7 @@ class Momentum:
         pulls = int(np.sum(model.actuator_group == PULLS))
         self._pulling, self._places = data.actuator_force[:pulls], data.site_xpos
         self._directions = model.actuator_gear[:pulls, :3].copy()
+        self._upward = self._directions[:, 2].copy()
         self._masses = np.zeros(model.nsite)
         self._masses[sites] = masses
         self._gravity = float(masses.sum()) * model.opt.gravity
@@ -45,6 +46,11 @@ class Momentum:
         for forces in self._given:
             self._forces += forces
         self._pulled += self._pulling
+
+    @property
+    def lifting(self) -> float:
+        """Upward force of all pulls in the last substep [N]."""
+        return float(self._pulling @ self._upward)
 
     def unexplained(self, pushed: Array) -> Array:
         """Return the mean force [N], (3,), since the last call that only pulls explain.

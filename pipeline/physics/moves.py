@@ -14,7 +14,6 @@ from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 _UP = np.array([0.0, 0.0, 1.0])
-_HARDEST_STEP = 2.0  # body weights that a foot presses with. A guess: running, landing
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +31,8 @@ class Move:
     """The same at its end."""
     forward: Array
     """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
-    upward: Any
-    """Force [N] that carries the body and accelerates it upward."""
     left_share: Any
-    """Share of it that the left foot bears if both feet are planted, in [0, 1]."""
+    """Share of the body that the left foot bears if both are planted, in [0, 1]."""
 
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
@@ -44,7 +41,6 @@ class Move:
             (self.before[0][k], self.before[1][k]),
             (self.after[0][k], self.after[1][k]),
             self.forward[k],
-            float(self.upward[k]),
             float(self.left_share[k]),
         )
 
@@ -59,7 +55,6 @@ class MovePlanner:
     def __init__(self, body: Body, turned: Indices, axes: Array) -> None:
         masses = joint_masses(body)
         self._masses, self._shares = masses[:, None], masses / masses.sum()
-        self._hardest = _HARDEST_STEP * body.mass * GRAVITY
         self._feet = np.transpose(ankles_and_toes(body.skeleton))
         self._turned, self._turn_axes = turned, axes
 
@@ -88,7 +83,6 @@ class MovePlanner:
         moved = [(after[0] - before[0]).reshape(rows), turns]
         forward = damping * (np.concatenate(moved, axis=-1) / seconds)
         forward[..., : len(self._masses) * 3] += needed.reshape(rows)
-        upward = np.clip(needed[..., 2].sum(axis=-1), 0.0, self._hardest)
         # By where the center of mass is between the feet.
         left, right = np.moveaxis(
             0.5 * after[0][..., self._feet, :2].sum(axis=-2), -2, 0
@@ -97,4 +91,4 @@ class MovePlanner:
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
         left_share = np.clip(left_share, 0.0, 1.0)
-        return Move(duration, before, after, forward, upward, left_share)
+        return Move(duration, before, after, forward, left_share)

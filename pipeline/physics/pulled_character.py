@@ -40,6 +40,8 @@ _LOST = 3.0
 jump of a tracker that the bounded forces are still catching up with."""
 _TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
 _LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
+_REACTION_TIME = 0.02  # s in which feet press as hard as the pulls carry. A guess.
+_HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, landing
 
 
 def steps_in(dt: float) -> tuple[int, int]:
@@ -138,7 +140,8 @@ class PulledCharacter:
             self.data.qpos[:] = there
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load = [0.0, 0.0]
+        self._load, self._pressing = np.zeros(2), np.zeros(2)
+        self._carried = self._weight
         self._momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
@@ -212,6 +215,7 @@ class PulledCharacter:
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
         self._load_feet(move, stands if carries else None)
+        self._pressing = np.zeros(2)
         pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
@@ -237,6 +241,7 @@ class PulledCharacter:
             # The engine normalizes these quaternions.
             quats[self._mocap] = before_q + share * (after_q - before_q)
             for _ in range(substeps):
+                self._press_feet(model.opt.timestep)
                 mujoco.mj_step(model, data)
                 self._momentum.add()
                 if gives is not None and self._movable:
@@ -284,20 +289,25 @@ class PulledCharacter:
         return gives.target(positions, rotations, dt)
 
     def _load_feet(self, move: Move, stands: Flags | None) -> None:
-        """Press planted feet on the floor with what moves and carries the body.
-
-        Muscles act between the body and the feet, so what the pulls carry of the body
-        the feet press on the floor: only the floor carries it.
-        """
-        wanted = [0.0, 0.0] if stands is None else [float(foot) for foot in stands]
-        if all(wanted):
-            wanted = [move.left_share, 1.0 - move.left_share]
+        """Shift the body's weight toward the feet that are to bear it."""
+        wanted = np.zeros(2) if stands is None else stands.astype(float)
+        if wanted.all():
+            wanted = np.array([move.left_share, 1.0 - move.left_share])
         most = move.duration / _LOADING_TIME
-        for foot, (load, goal) in enumerate(zip(self._load, wanted, strict=True)):
-            change = min(max(goal - load, -most), most)
-            self._load[foot] = load + change if goal > 0.0 else 0.0
-            pressure = self._load[foot] * (move.upward + self.grasp.weight)
-            self.data.xfrc_applied[self._soles[foot], 2] = -pressure
+        loads = self._load + np.clip(wanted - self._load, -most, most)
+        self._load = np.where(wanted > 0.0, loads, 0.0)
+
+    def _press_feet(self, dt: float) -> None:
+        """Press loaded feet on the floor with what the pulls carry of the body.
+
+        Muscles act between the body and the feet, so that only the floor carries it.
+        """
+        share = min(dt / _REACTION_TIME, 1.0)
+        self._carried += share * (self._momentum.lifting - self._carried)
+        most = _HARDEST_STEP * self._weight
+        pressing = self._load * min(max(self._carried, 0.0), most)
+        self.data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
+        self._pressing = pressing
 
     def _diverged(self, target: Array, before: float) -> bool:
         """Return True if the character spins out of control or lost its target."""

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
+from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget.stance import smooth_step
 
@@ -32,6 +33,10 @@ _SWITCH = 4.0  # cost of a change in log odds: the hysteresis. A guess.
 _SPEED_TIME = 0.1  # s over which speed is averaged where there is no look-ahead
 _RATE = 30.0  # Hz of the takes that the odds are for: a higher rate adds no evidence
 _DRIFT = 0.10  # m: an ankle that moved farther has made a step that was not detected
+_FREE_FALL = -0.75 * GRAVITY
+"""Least upward acceleration [m/s^2] of a smoothed trunk between two stances that tells
+a jump: those of simulated people go below -0.78 g, of steps and turns mostly not below
+-0.6 g (seeds 100 to 102)."""
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.3  # s: duration of such a step
 
@@ -60,7 +65,8 @@ def find_stance(
 
     A foot is planted while its ankle rests and is no higher than the other. Viterbi's
     algorithm finds the most probable sequence of planted and stepping frames; every
-    change has a cost, which makes it a hysteresis that looks ahead.
+    change has a cost, which makes it a hysteresis that looks ahead. Whoever
+    does not jump stands on a foot at any time.
     """
     ankles, _ = ankles_and_toes(skeleton)
     weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
@@ -74,7 +80,7 @@ def find_stance(
     for foot in range(2):
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
-    return _unloaded(time, stands)
+    return _supported(time, positions, confidence, _unloaded(time, stands), skeleton)
 
 
 def planted_feet(contacts: Flags) -> Flags:
@@ -149,6 +155,32 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
                 up = np.searchsorted(time, end - margin + 1e-9)
                 shorter[up : stance.stop, foot] = False
     return shorter
+
+
+def _supported(
+    time: Array, positions: Array, confidence: Array, stands: Flags, skeleton: Skeleton
+) -> Flags:
+    """Return stances extended so that whoever does not jump stands on a foot.
+
+    Between two stances that is the foot whose toes are nearer to where they rest before
+    or after, unless they are as far as from one step to the next.
+    """
+    longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
+    if len(time) < 2:
+        return longer
+    trunk = positions[:, [skeleton.root, skeleton.girdle]].mean(axis=1, keepdims=True)
+    height = smooth(time, trunk, np.ones(trunk.shape[:2]), cutoff=_CUTOFF)[:, 0, 1]
+    acceleration = np.gradient(np.gradient(height, time), time)
+    weights = np.maximum(confidence[:, toes], _LEAST_WEIGHT)
+    paths = smooth(time, positions[:, toes], weights, cutoff=_CUTOFF)
+    for gap in runs(np.asarray(~stands.any(axis=1))):
+        if acceleration[gap].min() > _FREE_FALL:
+            ends = [max(gap.start - 1, 0), min(gap.stop, len(stands) - 1)]
+            away = np.linalg.norm(paths[gap, None] - paths[ends], axis=3)
+            away = np.where(stands[ends], away, np.inf).min(axis=1)
+            near = np.flatnonzero(away.min(axis=1) < _DRIFT)
+            longer[gap.start + near, away.argmin(axis=1)[near]] = True
+    return longer
 
 
 def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
