@@ -233,11 +233,10 @@ class Clean:
         out.print(f"wrote {', '.join(map(str, clips))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
-            from kinefilter.pipeline.look.page import read_limits, write_report
+            from kinefilter.pipeline.look.page import write_report
 
             path = numbered(self.report, body)
-            comparison = compare(result.clip, take, merged)
-            write_report(comparison, path, read_limits())
+            write_report(compare(result.clip, take, merged), path)
             out.print(f"wrote {path}")
 
 
