@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_body
+from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
-from kinefilter.pipeline.look.comparison import nearest_frames, raw_positions
+from kinefilter.pipeline.look.comparison import raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video import output_paths, stretches

@@ -123,8 +123,7 @@ class Clean:
             write_people(clips, self.out, settings.export)
         for body, result in results.items():
             number = body if several else None
-            paths = [self.out] if self.one_file else self._write_clips(result, number)
-            self._write(result, recording.take(body), number, merged, paths)
+            self._write(result, recording.take(body), number, merged)
         figures = {body: as_json(result) for body, result in results.items()}
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
@@ -211,22 +210,16 @@ class Clean:
         notes = (*first.notes, *merged.all_notes())
         return Recording((merged.take,), "merged", notes=notes), {1: result}, merged
 
-    def _write_clips(self, result: CleanResult, body: int | None) -> list[Path]:
-        paths = part_paths(numbered(self.out, body), len(result.clips))
-        for path, clip in zip(paths, result.clips, strict=True):
-            write_clip(clip, path, self.settings.export)
-        return paths
-
     def _write(
-        self,
-        result: CleanResult,
-        take: Take,
-        body: int | None,
-        merged: Merged | None,
-        clips: list[Path],
+        self, result: CleanResult, take: Take, body: int | None, merged: Merged | None
     ) -> None:
         from kinefilter.pipeline.summary import as_tables
 
+        clips = [self.out]
+        if not self.one_file:
+            clips = part_paths(numbered(self.out, body), len(result.clips))
+            for path, clip in zip(clips, result.clips, strict=True):
+                write_clip(clip, path, self.settings.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))

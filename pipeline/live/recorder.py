@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import glob
-import os
 import threading
 from collections import deque
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.pipeline.formats.files import check_folder
+from kinefilter.pipeline.formats.files import append_whole, check_folder
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
@@ -27,7 +26,7 @@ _MIN_FRAMES = 2  # of a take
 class _Part:
     body: str  # the sender's name for the person
     path: Path
-    file: BinaryIO
+    file: FileIO
     last: float  # time stamp of the last frame [s]
     frames: int = 0  # written so far
 
@@ -76,7 +75,7 @@ class Recorder:
                 rows = [(time, seen) for of, time, seen in new if of is part]
                 if rows and self.failure is None:
                     try:
-                        _write_whole(part.file, take_rows(*as_arrays(rows)).encode())
+                        append_whole(part.file, take_rows(*as_arrays(rows)).encode())
                         part.frames += len(rows)
                     except OSError as error:
                         self._fail(part.path, error)
@@ -88,8 +87,7 @@ class Recorder:
         written = []
         for part in self._parts:
             try:
-                with part.file as file:
-                    os.fsync(file.fileno())
+                part.file.close()
                 if part in kept:
                     number = kept.index(part) + 1 if len(kept) > 1 else None
                     written.append(part.path.replace(numbered(self._path, number)))
@@ -113,7 +111,7 @@ class Recorder:
         try:
             part = _Part(seen.id, path, path.open("xb", buffering=0), time)
             self._parts.append(part)
-            _write_whole(part.file, take_header(self._skeleton).encode())
+            append_whole(part.file, take_header(self._skeleton).encode())
         except OSError as error:
             self._fail(path, error)
             return None
@@ -124,18 +122,3 @@ class Recorder:
         self.failure = (
             f"{path}: recording stopped ({reason}); free some space and restart"
         )
-
-
-def _write_whole(file: BinaryIO, data: bytes) -> None:
-    """Write all data or, if that fails, leave the file as it was."""
-    before = file.seek(0, os.SEEK_END)
-    try:
-        _write(file, data)
-    except OSError:
-        file.truncate(before)
-        raise
-
-
-def _write(file: BinaryIO, data: bytes) -> None:
-    while data:
-        data = data[file.write(data) :]

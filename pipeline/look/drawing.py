@@ -14,6 +14,7 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.formats import read_clip
 
@@ -40,6 +41,8 @@ CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
 """Corners of a cube with sides of 2 around the origin, shape (8, 3)."""
 
 _GAP = 0.35  # m between the raw figure and the character, chosen by eye
+_UNLIKELY = 0.4  # reliability of the worst joint, averaged over _WINDOW. A guess
+_WINDOW = 0.5  # s
 
 
 class Sticks(NamedTuple):
@@ -147,6 +150,23 @@ class Drawing:
         # The skin already shows these figures; the force would hide sensors' figures.
         hidden = {"cleaned", "physics", *(("forces",) if self.sensors else ())}
         return {name: name not in hidden for name in names}
+
+    @property
+    def doubtful(self) -> Flags:
+        """Frames where the tracker failed or a joint is hardly reliable, (T,).
+
+        Hands are left out, as their reliability is nearly always low.
+        """
+        from scipy.ndimage import uniform_filter1d  # takes long to load
+
+        clip, joints = self.clip, np.flatnonzero(~self.clip.skeleton.hands)
+        step = float(np.nan_to_num(nominal_step(clip.time)) or 1)
+        rates = np.nan_to_num(clip.reliability[:, joints], nan=1.0)
+        means = uniform_filter1d(rates, max(round(_WINDOW / step), 1), axis=0)
+        flags = means.min(axis=1) < _UNLIKELY
+        for failure in self.failures:
+            flags |= (failure.start <= clip.time) & (clip.time <= failure.end)
+        return np.asarray(flags)
 
     @property
     def raw_offset(self) -> Array:
