@@ -12,7 +12,6 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
-from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
     Recording,
     check_writable,
@@ -22,7 +21,7 @@ from kinefilter.pipeline.formats import (
 )
 from kinefilter.pipeline.formats.export import with_frame_rate
 from kinefilter.pipeline.formats.recording import numbered, part_paths
-from kinefilter.pipeline.settings import Settings
+from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (
     check_calibration,

@@ -29,8 +29,7 @@ from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.pipeline.target.upright import find_turn
 from kinefilter.retarget import find_yaw
 
-from .drawing import Drawing, read_finite_clip
-from .sensor_views import sensors_of
+from .drawing import Drawing, read_finite_clip, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged

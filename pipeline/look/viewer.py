@@ -17,10 +17,9 @@ from kinefilter.characters.arrays import Flags, runs
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile
 from kinefilter.pipeline.progress import Progress
 
-from .drawing import Drawing
+from .drawing import Drawing, Sensor
 from .edit_history import EditHistory
 from .playhead import Playback
-from .sensor_views import Sensor
 from .timelines import AXES, Curves, timeline_html
 from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
