@@ -26,6 +26,7 @@ from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 from .terminal import (
     check_calibration,
     check_output,
+    check_outputs,
     err,
     out,
     progress_bars,
@@ -148,8 +149,7 @@ class Clean:
 
             check_report(self.report)
         written = (self.out, self.json, self.save_contacts, self.report)
-        for k, path in enumerate(written):
-            check_output(path, *used, *written[:k])
+        check_outputs(written, *used)
 
     def _check_one_file(self) -> None:
         """Raise an InputError for options that do not combine with --one-file."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from .messages import SeenBody, as_arrays
 from .tally import Event, Tally
 
 _MAX_FILES = 64  # bodies in one recording
-_MAX_WAITING = 10_000  # frames by which the disk may fall behind
+_MAX_WAITING = 10_000  # frames of a person by which the disk may fall behind
 _MIN_FRAMES = 2  # of a take
 
 
@@ -29,6 +29,7 @@ class _Part:
     file: FileIO
     last: float  # time stamp of the last frame [s]
     frames: int = 0  # written so far
+    waiting: deque[tuple[float, SeenBody]] = field(default_factory=deque)
 
 
 class Recorder:
@@ -54,25 +55,23 @@ class Recorder:
             )
         self._path, self._skeleton, self._tally = path, skeleton, tally
         self._parts: list[_Part] = []
-        self._waiting: deque[tuple[_Part, float, SeenBody]] = deque()
         self._writing = threading.Lock()
         self.failure: str | None = None  # why recording had to stop, if it had to
 
     def add(self, time: float, seen: SeenBody) -> None:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
-        if part is None or len(self._waiting) >= _MAX_WAITING:
+        if part is None or len(part.waiting) >= _MAX_WAITING:
             self._tally.events[Event.UNRECORDED] += 1
             return
         part.last = time
-        self._waiting.append((part, time, seen))
+        part.waiting.append((time, seen))
 
     def flush(self) -> None:
         """Write the frames since the last flush; threads that call it take turns."""
         with self._writing:
-            new = [self._waiting.popleft() for _ in range(len(self._waiting))]
             for part in list(self._parts):
-                rows = [(time, seen) for of, time, seen in new if of is part]
+                rows = [part.waiting.popleft() for _ in range(len(part.waiting))]
                 if rows and self.failure is None:
                     try:
                         append_whole(part.file, take_rows(*as_arrays(rows)).encode())
