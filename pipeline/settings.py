@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeGuard
 
 from tyro.conf import Suppress
 
@@ -24,6 +24,11 @@ from .field_types import converted, type_hints
 from .formats import Recording, read_recording
 from .formats.export import Export
 from .formats.files import LARGEST_TOML, check_file, parse_toml, read_limited
+from .progress import Progress, silent
+
+if TYPE_CHECKING:
+    from .cleaner import Cleaner, CleanResult
+    from .merge import Merged
 
 FOLDER_FILE = "kinefilter.toml"
 """Name of a file of settings for the takes in its folder."""
@@ -65,6 +70,41 @@ class Settings:
     def read(self, path: Path) -> Recording:
         """Read a take with these settings; errors as for ``read_recording``."""
         return read_recording(path, format=self.format, fps=self.take_fps)
+
+    def people(self, recordings: Sequence[Recording]) -> list[int]:
+        """Return the numbers of the people to clean, one recording per sensor.
+
+        Raises InputError if there is no such person, or all are asked for of a session.
+        """
+        if len(recordings) > 1 and self.body == "all":
+            raise InputError(
+                "--body all works with one sensor only; choose one person by number"
+            )
+        return recordings[0].numbers(self.body)
+
+    def clean(
+        self,
+        recordings: Sequence[Recording],
+        body: int,
+        cleaner: Cleaner | None = None,
+        progress: Progress = silent,
+    ) -> tuple[CleanResult, Merged | None]:
+        """Clean a person; of several sensors' recordings, also return the merged take.
+
+        ``cleaner`` is one with the same config, if there is one. Errors are those of
+        ``Cleaner`` and ``merge``.
+        """
+        if len(recordings) == 1:
+            from .cleaner import Cleaner
+
+            cleaner = cleaner or Cleaner(self.config)
+            return cleaner.clean(recordings[0].take(body), progress=progress), None
+        from .merge import clean_session, read_calibration
+
+        known = read_calibration(self.calibration)
+        return clean_session(
+            recordings, self.config, body=body, calibration=known, progress=progress
+        )
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -352,7 +352,7 @@ def test_what_does_not_belong_together_is_refused(
         (1, "take.csv", "raw take"),
         (3, "clip.npz", ""),
         (3, "none.csv", "no such file"),
-        (5, "report.txt", "name it .html"),
+        (5, "report.txt", "must end in .html"),
         (5, "none/report.html", "folder"),
     ],
 )

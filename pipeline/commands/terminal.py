@@ -42,7 +42,7 @@ def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> N
     """
     if path is None:
         return
-    if not path.name.endswith(suffix):
+    if not path.name.lower().endswith(suffix):
         raise InputError(f"{path}: the name must end in {suffix}")
     check_folder(path)
     keep(path, *others)

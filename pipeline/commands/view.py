@@ -330,8 +330,8 @@ class Report:
                 "no --take given; give the take that the clip was made from"
             )
         check_calibration(self.calibration, self.take)
-        page.check_report(self.out)
-        check_output(self.out, self.clip, *self.take, self.calibration)
+        others = (self.clip, *self.take, self.calibration)
+        check_output(self.out, *others, suffix=".html")
         gates = [page.parse_limit(text) for text in dict.fromkeys(self.fail_on)]
         with progress_bars() as progress:
             comparison = read_comparison(

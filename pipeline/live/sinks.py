@@ -127,9 +127,9 @@ class Broadcast:
     async def serve(self, write: Callable[[str], Awaitable[None]]) -> None:
         """Write all lines from now on for a new reader, by calling ``write``."""
         lines: asyncio.Queue[str] = asyncio.Queue(_MAX_WAITING)
+        lines.put_nowait(self._first)
         self.readers.add(lines)
         try:
-            await write(self._first)
             while True:
                 await write(await lines.get())
                 lines.task_done()

@@ -80,12 +80,6 @@ LIMITS = (
 """What a page marks as failed: guesses at what animators notice."""
 
 
-def check_report(path: Path) -> None:
-    """Raise an InputError unless a file is named as a web page."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: a report is a web page; name it .html")
-
-
 def write_report(
     comparison: Comparison, path: str | os.PathLike[str], gates: Sequence[Limit] = ()
 ) -> None:
