@@ -16,6 +16,7 @@ from .arrays import (
     Array,
     Codes,
     Flags,
+    Indices,
     as_number,
     check_arrays,
     check_kind,
@@ -149,6 +150,11 @@ def nominal_step(time: Array) -> float:
     steps = np.diff(time)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def nearest_frames(stamps: Array, times: Array) -> Indices:
+    """Return the index of the time stamp [s] nearest to each time, shape (T,)."""
+    return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)
 
 
 def frames_per_second(time: Array) -> float:

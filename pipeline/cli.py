@@ -56,7 +56,7 @@ Exit codes: 0, done, also when Ctrl-C or SIGTERM ended live, replay, play or vie
 done, but some takes or clips were left out, the recording of live ended early, a metric
 exceeds --fail-on, --fail-on-damage found damage, or a figure of README did not hold; 2,
 the input or the command was wrong, or a file could not be written; 130, interrupted:
-the same batch, render or reproduce --all command resumes where it ended. Files are
+the same batch or reproduce --all command resumes where it ended. Files are
 written whole or not at all."""
 
 _INTERRUPTED = 130  # as shells report a program ended by Ctrl-C

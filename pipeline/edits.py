@@ -64,17 +64,16 @@ FEET: dict[str, tuple[int, ...]] = {
 }
 """Columns of the contacts (CONTACTS), by the name of what is planted."""
 
-_FIELDS = {
-    "distrust": ("joints", "begin", "end"),
-    "exchange": ("begin", "end"),
-    "contact": ("part", "stands", "begin", "end"),
-    "pin": ("joint", "time", "position"),
+_SPAN: dict[str, Any] = {"begin": float, "end": float}
+_FIELDS: dict[str, dict[str, Any]] = {
+    "distrust": {"joints": tuple[str, ...], **_SPAN},
+    "exchange": _SPAN,
+    "contact": {"part": Literal[tuple(FEET)], "stands": bool, **_SPAN},
+    "pin": {"joint": str, "time": float, "position": tuple[float, ...]},
 }
-_TYPES: dict[str, Any] = {"joints": tuple[str, ...], "joint": str, "stands": bool}
-_TYPES |= {"part": Literal[tuple(FEET)], "position": tuple[float, ...]}  # else float
 _EXPECTED = "expected tables " + ", ".join(
-    f"[[{kind}]] with {', '.join(names[:-1])} and {names[-1]}"
-    for kind, names in _FIELDS.items()
+    f"[[{kind}]] with {' and '.join(', '.join(types).rsplit(', ', 1))}"
+    for kind, types in _FIELDS.items()
 )
 _HEADER = (
     "# Manual corrections to a take, for --edits; times [s] after its first frame."
@@ -175,11 +174,10 @@ class EditsFile:
 
 
 def _edit(kind: str, row: Any, where: str) -> Edit:
-    names = _FIELDS[kind]
-    if not isinstance(row, dict) or set(row) != set(names):
-        raise InputError(f"{where}: expected {', '.join(names)}; {_EXPECTED}")
-    types = {name: _TYPES.get(name, float) for name in names}
-    values = {n: converted(row[n], types[n], f"{where}: {n}") for n in names}
+    types = _FIELDS[kind]
+    if not isinstance(row, dict) or set(row) != set(types):
+        raise InputError(f"{where}: expected {', '.join(types)}; {_EXPECTED}")
+    values = {n: converted(row[n], t, f"{where}: {n}") for n, t in types.items()}
     joints = (values["joint"],) if kind == "pin" else values.get("joints", ())
     if kind == "distrust" and not joints:
         raise InputError(f"{where}: name joints, or a limb: {', '.join(LIMBS)}")

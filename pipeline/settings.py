@@ -1,23 +1,37 @@
-"""Settings for reading, cleaning and writing a take, and their fingerprint."""
+"""Settings for reading, cleaning and writing a take, their files and fingerprint.
+
+A file (TOML) holds what ``clean`` has options for, such as ``method = "local-pca"``,
+``cutoff = 4.0`` or ``rotation-order = "xyz"``. Paths in it are relative to its folder.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeGuard
 
 from tyro.conf import Suppress
 
 from kinefilter.characters import InputError
 
 from .config import CleanConfig, TakeFormat
+from .field_types import converted, type_hints
 from .formats import Recording, read_recording
 from .formats.export import Export
-from .formats.files import check_file
+from .formats.files import LARGEST_TOML, check_file, parse_toml, read_limited
+from .progress import Progress, silent
 
+if TYPE_CHECKING:
+    from .cleaner import Cleaner, CleanResult
+    from .merge import Merged
+
+FOLDER_FILE = "kinefilter.toml"
+"""Name of a file of settings for the takes in its folder."""
 _PLACEHOLDERS = ("{name}", "{sensor}")  # in patterns of sessions
 
 
@@ -57,6 +71,41 @@ class Settings:
         """Read a take with these settings; errors as for ``read_recording``."""
         return read_recording(path, format=self.format, fps=self.take_fps)
 
+    def people(self, recordings: Sequence[Recording]) -> list[int]:
+        """Return the numbers of the people to clean, one recording per sensor.
+
+        Raises InputError if there is no such person, or all are asked for of a session.
+        """
+        if len(recordings) > 1 and self.body == "all":
+            raise InputError(
+                "--body all works with one sensor only; choose one person by number"
+            )
+        return recordings[0].numbers(self.body)
+
+    def clean(
+        self,
+        recordings: Sequence[Recording],
+        body: int,
+        cleaner: Cleaner | None = None,
+        progress: Progress = silent,
+    ) -> tuple[CleanResult, Merged | None]:
+        """Clean a person; of several sensors' recordings, also return the merged take.
+
+        ``cleaner`` is one with the same config, if there is one. Errors are those of
+        ``Cleaner`` and ``merge``.
+        """
+        if len(recordings) == 1:
+            from .cleaner import Cleaner
+
+            cleaner = cleaner or Cleaner(self.config)
+            return cleaner.clean(recordings[0].take(body), progress=progress), None
+        from .merge import clean_session, read_calibration
+
+        known = read_calibration(self.calibration)
+        return clean_session(
+            recordings, self.config, body=body, calibration=known, progress=progress
+        )
+
     @property
     def files(self) -> tuple[Path, ...]:
         """The files that the settings name, existing or not."""
@@ -95,3 +144,73 @@ def names_file(value: object) -> TypeGuard[str | Path]:
     if isinstance(value, str):
         return Path(value).suffix in (".xml", ".toml")
     return isinstance(value, Path)
+
+
+_PARTS: dict[str, type[Any]] = {"config": CleanConfig, "export": Export}
+_OWN = {k: hint for k, hint in type_hints(Settings).items() if k not in _PARTS}
+_HINTS = type_hints(CleanConfig) | type_hints(Export) | _OWN
+_HINTS.pop("blender")  # a file beside takes must not choose a program to run
+
+
+class SettingsFile(NamedTuple):
+    """The path or URL of a file, and its values for fields of the settings."""
+
+    name: str
+    values: Mapping[str, Any]
+
+
+def read_settings(path: str | os.PathLike[str]) -> SettingsFile:
+    """Read a file of settings; raises InputError if it is missing or invalid."""
+    text = read_limited(path, LARGEST_TOML)
+    return parse_settings(text, os.fspath(path), Path(path).parent)
+
+
+def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
+    """Return the settings in TOML text; raises InputError if it is invalid.
+
+    Paths in it are relative to the folder; without one, they must be absolute.
+    """
+    values, expected = {}, "write lines such as cutoff = 4.0"
+    for key, value in parse_toml(text, name, expected).items():
+        field = key.replace("-", "_")
+        if field not in _HINTS:
+            known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
+            raise InputError(f"{name}: unknown key {key!r}; known: {known}")
+        where = f"{name}: {key}"
+        values[field] = _absolute(converted(value, _HINTS[field], where), where, folder)
+    return SettingsFile(name, values)
+
+
+def overlaid(
+    settings: Settings, files: Sequence[SettingsFile], given: Collection[str]
+) -> Settings:
+    """Return settings changed by files, later ones overriding earlier ones.
+
+    The fields ``given`` by the user stay. Raises InputError for an impossible value.
+    """
+    for file in files:
+        values = {k: v for k, v in file.values.items() if k not in given}
+        own = {name: value for name, value in values.items() if name in _OWN}
+        try:
+            for part, kind in _PARTS.items():
+                names = {f.name for f in fields(kind)} & values.keys()
+                changes = {name: values[name] for name in names}
+                own[part] = replace(getattr(settings, part), **changes)
+            settings = replace(settings, **own)
+        except InputError as error:
+            raise InputError(f"{file.name}: {error}") from None
+    return settings
+
+
+def _absolute(value: Any, where: str, folder: Path | None) -> Any:
+    """Return a value with its paths made absolute."""
+    if isinstance(value, tuple):
+        return tuple(_absolute(one, where, folder) for one in value)
+    if not names_file(value):
+        return value
+    if folder is None and not Path(value).is_absolute():
+        raise InputError(
+            f"{where} = {str(value)!r}: expected an absolute path, valid on every "
+            "worker, as this file is in a store"
+        )
+    return type(value)(Path(folder or "", value).absolute())

@@ -227,7 +227,6 @@ def prepare(folder: Path) -> dict[str, Path]:
         "rig.toml": _RIG_MAP.read_text(encoding="utf-8"),
         "options.toml": 'cutoff = 4.0\nmethod = "none"\nheight = 1.8\nfps = 24\n',
         "camera.toml": "position = [0.0, 1.5, 4.0]\ntarget = [0, 1, 0]\nfov = 40\n",
-        "limits.toml": 'fail_on = ["skate > 0.003", "jitter > 100"]\n',
         "own.xml": _ROOM.read_text(encoding="utf-8").replace("</worldbody>", _CRATE),
     }
     for name, text in texts.items():
@@ -350,9 +349,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "rig.toml": ("clean {take.csv} -o {out}/o.bvh --rig {}",),
     "options.toml": ("clean {take.csv} -o {out}/o.npz --config {}",),
-    "limits.toml": (
-        "report {clip.npz} --take {take.csv} -o {out}/o.html --thresholds {}",
-    ),
     "answers.json": ("ratings {} --key {page.key.json}",),
     "page.key.json": ("ratings {answers.json} --key {} --json {out}/o.json",),
     "own.xml": (

@@ -94,7 +94,6 @@ _USED = {
     "edits": ("{edits.toml}", "{options.toml}"),
     "scene": _SCENES,
     "config_file": ("{options.toml}",),
-    "thresholds": ("{limits.toml}",),
     "character": ("{out}/layer.usda", "{layered.usda}"),
     "rig": (*RIGS, "{rig.toml}"),
     "target": ("{mixamo.bvh}", "{mixamo.usda}", "{clip.usdz}"),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def draw_or_die(task: RenderTask, _: range) -> list[list[Coded]]:
     if task.clip.stem == "deadly":
         os._exit(1)
-    task.out.with_name(f"{task.clip.stem}.drawn").write_text(task.fingerprint)
+    task.out.with_name(f"{task.clip.stem}.drawn").touch()
     return []
 
 

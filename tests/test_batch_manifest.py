@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,7 +96,7 @@ def test_a_full_disk_leaves_the_manifest_as_it_was(
     with open_manifest(store) as opened:
         opened.append([row])
         with monkeypatch.context() as patched:
-            patched.setattr(manifest.os, "fsync", full)
+            patched.setattr(os, "fsync", full)
             with pytest.raises(InputError, match="No space left"):
                 opened.append([replace(row, take="b")])
         opened.append([replace(row, take="c")])

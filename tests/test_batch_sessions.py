@@ -152,7 +152,7 @@ def test_a_session_that_is_refused_fails_with_the_reason(
 def test_all_people_of_a_session_are_too_many(both: Path, tmp_path: Path) -> None:
     settings = replace(TOGETHER, body="all")
     made = _made(clean_folder(both, tmp_path / "clips", settings))
-    assert "--body all is for one sensor" in made["nod"].error
+    assert "--body all works with one sensor only" in made["nod"].error
     assert made["alone.csv"].status == "done"
 
 

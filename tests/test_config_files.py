@@ -13,9 +13,14 @@ from kinefilter.pipeline.batch import run
 from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import given_options, main
-from kinefilter.pipeline.config_files import overlaid, parse_settings, read_settings
 from kinefilter.pipeline.formats import read_bvh, write_take_csv
-from kinefilter.pipeline.settings import Settings, fingerprint
+from kinefilter.pipeline.settings import (
+    Settings,
+    fingerprint,
+    overlaid,
+    parse_settings,
+    read_settings,
+)
 
 
 def _parsed(text: str, folder: Path | None = Path("/folder")) -> Settings:

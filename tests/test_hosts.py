@@ -26,7 +26,6 @@ from test_packaging import SOURCES
 from kinefilter.characters import KINECT_V2, Clip, InputError, Take
 from kinefilter.pipeline import cli
 from kinefilter.pipeline.batch.store import Store, is_url
-from kinefilter.pipeline.config_files import read_settings
 from kinefilter.pipeline.formats import (
     files,
     guarded,
@@ -38,6 +37,7 @@ from kinefilter.pipeline.formats import (
 )
 from kinefilter.pipeline.formats.acclaim import read_amc, read_asf
 from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.pipeline.settings import read_settings
 
 HERE = Path(__file__).parent
 KINEFILTER = [sys.executable, "-m", "kinefilter.pipeline.cli"]

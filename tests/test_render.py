@@ -20,11 +20,10 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import view as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.look import video, video_task
+from kinefilter.pipeline.look import video
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video import render_clips
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
-from kinefilter.pipeline.look.video_task import RenderTask
 
 SMALL = Look(size="96x54")
 
@@ -88,7 +87,7 @@ def test_a_gif_plays_for_ever_as_fast_as_the_clip(
 ) -> None:
     clip, out = tmp_path / "clip.npz", tmp_path / "clip.gif"
     write_clip(make_clip(31), clip)
-    render_clips([clip], out, replace(SMALL, every=2), jobs=1)
+    render_clips([clip], out, replace(SMALL, fps=15), jobs=1)
     assert b"NETSCAPE2.0\x03\x01\x00\x00\x00" in out.read_bytes()
     pictures, frames, _ = _decoded(out)
     assert len(pictures) == 16
@@ -98,64 +97,18 @@ def test_a_gif_plays_for_ever_as_fast_as_the_clip(
 
 
 @pytest.mark.usefixtures("backend")
-def test_pictures_that_are_there_are_kept_and_others_drawn_again(
+def test_numbered_pictures_are_the_same_whatever_the_processes(
     make_clip: MakeClip, tmp_path: Path
-) -> None:
-    clip, out = tmp_path / "clip.npz", tmp_path / "frames" / "%03d.png"
-    write_clip(make_clip(4), clip)
-    files = [out.with_name(f"{k:03d}.png") for k in range(4)]
-
-    def made() -> list[tuple[int, int]]:
-        return [(f.stat().st_ino, f.stat().st_mtime_ns) for f in files]
-
-    render_clips([clip], out, SMALL, jobs=1)
-    assert sorted(out.parent.iterdir()) == files
-    first, pictures = made(), [f.read_bytes() for f in files]
-    files[1].unlink()
-    files[2].write_bytes(pictures[2][: len(pictures[2]) // 2][:40])
-    render_clips([clip], out, SMALL, jobs=1)
-    assert [a == b for a, b in zip(first, made(), strict=True)] == [1, 0, 0, 1]
-    assert [f.read_bytes() for f in files] == pictures
-    render_clips([clip], out, replace(SMALL, camera="side"), jobs=1)
-    assert not set(first) & set(made())
-    assert all(f.read_bytes() != p for f, p in zip(files, pictures, strict=True))
-
-
-@pytest.mark.usefixtures("backend")
-def test_seams_are_dark_lines_on_the_body_alone(
-    make_clip: MakeClip, tmp_path: Path
-) -> None:
-    clip, out = tmp_path / "clip.npz", tmp_path / "%d.png"
-    write_clip(make_clip(1), clip)
-    pictures = []
-    for seams in (False, True):
-        look = Look(size="320x180", seams=seams)
-        render_clips([clip], out.with_name(f"{seams}-%d.png"), look, jobs=1)
-        pictures.append(_decoded(tmp_path / f"{seams}-0.png")[0][0].astype(int))
-    darker = pictures[0].sum(axis=2) - pictures[1].sum(axis=2)
-    assert darker.min() >= 0
-    skin = np.ptp(pictures[0], axis=2) > 10  # the floor is gray
-    assert 0.02 < np.mean(darker[skin] > 60) < 0.4
-    assert np.mean(darker[~skin] > 60) < 0.002
-
-
-def test_pictures_of_another_opengl_or_version_are_of_another_shot(
-    make_clip: MakeClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clip = tmp_path / "clip.npz"
-    write_clip(make_clip(2), clip)
-
-    def fingerprint(backend: Backend) -> str:
-        out = tmp_path / "%d.png"
-        return RenderTask(clip, out, SMALL).drawn_by(backend).fingerprint
-
-    one = Backend("osmesa", "llvmpipe (LLVM 15)")
-    first = fingerprint(one)
-    assert fingerprint(one) == first
-    assert fingerprint(replace(one, renderer="llvmpipe (LLVM 19)")) != first
-    assert fingerprint(replace(one, name="egl")) != first
-    monkeypatch.setattr(video_task, "version", lambda _: "another")
-    assert fingerprint(one) != first
+    write_clip(make_clip(4), clip)
+    drawn = []
+    for jobs in (1, 2):
+        out = tmp_path / str(jobs) / "%03d.png"
+        render_clips([clip], out, SMALL, jobs=jobs)
+        drawn.append({f.name: f.read_bytes() for f in out.parent.iterdir()})
+    assert sorted(drawn[0]) == [f"{k:03d}.png" for k in range(4)]
+    assert drawn[0] == drawn[1]
 
 
 @pytest.mark.usefixtures("backend")
@@ -215,8 +168,7 @@ def test_an_interrupted_video_leaves_nothing(
     write_clip(make_clip(70), clip)
     out.write_text("older")
     assert main(["render", str(clip), "-o", str(out), "--size", "32x18"]) == 130
-    hint = "kinefilter: interrupted; run the same command again"
-    assert capsys.readouterr().err.startswith(hint)
+    assert capsys.readouterr().err == "kinefilter: interrupted\n"
     assert sorted(tmp_path.iterdir()) == [out, clip]
     assert out.read_text() == "older"
 
@@ -292,8 +244,6 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
         (["-o", "a.mp4", "--size", "wide"], "such as 1280x720"),
         (["-o", "a.mp4", "--fps", "0"], "--fps 0"),
         (["-o", "a.gif", "--fps", "60"], "at most 50 frames"),
-        (["-o", "a.mp4", "--every", "0"], "--every 0"),
-        (["-o", "a.mp4", "--samples", "3"], "--samples 3"),
         (["-o", "a.mp4", "--from", "3", "--to", "2"], "--from 3 --to 2"),
         (["-o", "a.mp4", "--from", "99"], "it lasts"),
         (["-o", "a.mp4", "--camera", "above"], "three-quarter"),

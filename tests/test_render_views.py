@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_body
+from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
-from kinefilter.pipeline.look.comparison import nearest_frames, raw_positions
+from kinefilter.pipeline.look.comparison import raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video import output_paths, stretches
@@ -34,9 +35,8 @@ def _take(clip: Clip, positions: NDArray[np.float64]) -> Take:
     [
         (Look(), np.arange(31) / 30, 30),
         (Look(fps=10), np.arange(11) / 10, 10),
-        (Look(every=4), np.arange(8) * 4 / 30, 7.5),
         (Look(start=0.5, to=0.6), np.array([15, 16, 17, 18]) / 30, 30),
-        (Look(fps=10, start=0.25, every=2), np.array([0.3, 0.5, 0.7, 0.9]), 5),
+        (Look(fps=10, start=0.25), 0.3 + np.arange(8) / 10, 10),
     ],
 )
 def test_the_frames_asked_for_are_shown(

@@ -22,7 +22,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare, read_comparison
-from kinefilter.pipeline.look.page import parse_limit, read_limits, write_report
+from kinefilter.pipeline.look.page import parse_limit, write_report
 from kinefilter.pipeline.metrics import METRICS, distances
 from kinefilter.pipeline.target.floor import leveled
 
@@ -298,29 +298,11 @@ def test_fail_on_gives_exit_code_1_and_the_page(
     assert {"text": "> 100", "fails": False} in metrics["moved_cm"]["limits"]
 
 
-def test_thresholds_are_read_from_a_file_and_fail_nothing(
-    files: list[str], tmp_path: Path
-) -> None:
-    limits = tmp_path / "limits.toml"
-    limits.write_text('fail_on = ["jitter > 0.001"]', encoding="utf-8")
-    assert main([*files, "--thresholds", str(limits)]) == 0
+def test_a_given_limit_replaces_the_pages_own(files: list[str]) -> None:
+    assert main([*files, "--fail-on", "jitter>0.001"]) == 1
     metrics = {m["name"]: m["limits"] for m in _contents(Path(files[-1]))["metrics"]}
     assert metrics["jitter"] == [{"text": "> 0.001", "fails": True}]
-    assert not metrics["skate"]
-    assert "skate>0.003" in map(str, read_limits())
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "[", "fail_on = 3", "fail_on = [3]", 'fail_on = ["a>1"]', "fail_on=[]\nb=1"],
-)
-def test_a_file_that_holds_no_limits_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "limits.toml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"limits\.toml.*(expected|skate)"):
-        read_limits(path)
-    with pytest.raises(InputError, match="no such file"):
-        read_limits(tmp_path / "none.toml")
+    assert [limit["text"] for limit in metrics["skate"]] == ["> 0.003"]
 
 
 def _refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -370,7 +352,7 @@ def test_what_does_not_belong_together_is_refused(
         (1, "take.csv", "raw take"),
         (3, "clip.npz", ""),
         (3, "none.csv", "no such file"),
-        (5, "report.txt", "name it .html"),
+        (5, "report.txt", "must end in .html"),
         (5, "none/report.html", "folder"),
     ],
 )

@@ -19,8 +19,7 @@ from kinefilter.characters import KINECT_V1, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulation import simulate_session
-from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.sensor_views import Sensor
+from kinefilter.pipeline.look.drawing import Drawing, Sensor
 from kinefilter.pipeline.look.viewer import status_html
 from kinefilter.pipeline.merge import Merged
 from kinefilter.pipeline.merge.lag import Track

@@ -22,11 +22,10 @@ from kinefilter.pipeline.failures import Failure, FailureKind
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import read_comparison, same_times
-from kinefilter.pipeline.look.curves import Curves
-from kinefilter.pipeline.look.doubts import doubtful
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.edit_history import EditHistory, timeline_html
+from kinefilter.pipeline.look.edit_history import EditHistory
 from kinefilter.pipeline.look.playhead import Playback
+from kinefilter.pipeline.look.timelines import Curves, timeline_html
 from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
 
@@ -159,7 +158,7 @@ def test_failures_and_what_is_hardly_reliable_are_doubtful(make_clip: MakeClip) 
     time = clip.time
     bent = FailureKind.BENT_BACKWARDS
     failed = Failure(bent, "left leg", 10, 12, time[10], time[12])
-    found = doubtful(clip, [failed])
+    found = Drawing(clip, failures=(failed,)).doubtful
     assert found[10:13].all()
     assert found[44:56].all()
     assert not found[np.r_[:10, 13:34, 67:90]].any()

@@ -13,7 +13,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import time
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,6 +24,7 @@ from typing import Any, Literal
 from filelock import FileLock, Timeout
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.formats.files import append_whole
 from kinefilter.pipeline.formats.plain import finite
 
 from .store import Store, store_at
@@ -114,8 +114,8 @@ class Manifest:
     """
 
     def __init__(self, file: io.FileIO, path: Path) -> None:
-        rows, self._length = parse_rows(file.readall(), str(path))
-        file.truncate(self._length)
+        rows, length = parse_rows(file.readall(), str(path))
+        file.truncate(length)
         self._file, self._path = file, path
         self.rows = {row.take: row for row in rows}
 
@@ -132,19 +132,13 @@ class Manifest:
         return [row for row, _ in new]
 
     def _write(self, lines: Sequence[str]) -> None:
-        data = memoryview("".join(lines).encode())
         try:
-            self._file.seek(self._length)
-            while data:  # the system may write only a part at a time
-                data = data[self._file.write(data) or 0 :]
-            os.fsync(self._file.fileno())
+            append_whole(self._file, "".join(lines).encode())
         except OSError as error:
-            self._file.truncate(self._length)  # possible even on a full disk
             raise InputError(
                 f"{self._path}: cannot be written ({error.strerror}); free some space, "
                 "and run the same command again to resume"
             ) from error
-        self._length = self._file.tell()
 
 
 @contextmanager

@@ -12,16 +12,17 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.config_files import (
-    FOLDER_FILE,
-    SettingsFile,
-    overlaid,
-    parse_settings,
-)
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
 from kinefilter.pipeline.formats.plain import printable
-from kinefilter.pipeline.settings import Settings, fingerprint
+from kinefilter.pipeline.settings import (
+    FOLDER_FILE,
+    Settings,
+    SettingsFile,
+    fingerprint,
+    overlaid,
+    parse_settings,
+)
 
 from .manifest import Row, Status
 from .sessions import Source, find_sessions

@@ -10,8 +10,7 @@ from pathlib import Path
 from time import perf_counter
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.config_files import read_settings
-from kinefilter.pipeline.settings import Settings
+from kinefilter.pipeline.settings import Settings, read_settings
 from kinefilter.pipeline.workers import cores, one_thread
 
 from .crew import Crew, open_crew

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import PurePosixPath
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 from .manifest import ClipRow, Row
 from .plan import Job
 from .sessions import Source
-
-if TYPE_CHECKING:
-    from kinefilter.pipeline.merge import Merged
 
 _KEPT = 4  # cleaners in memory: for two skeletons in each of two folders
 _MAX_ERROR = 1000  # characters of an error in a row
@@ -84,9 +81,13 @@ def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
 def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     """Clean the chosen people, and return values of the row, with any errors."""
     recordings = [recording for recording in read if recording is not None]
-    bodies = recordings[0].numbers(job.settings.body)
-    if len(recordings) > 1 and job.settings.body == "all":
-        raise InputError("--body all is for one sensor; give --body N for a session")
+    bodies = job.settings.people(recordings)
+    if len(recordings) > 1 and len(set(job.sensors)) < len(job.sensors):
+        raise InputError(
+            f"{', '.join(source.take for source in job.sources)}: several are by the "
+            "same sensor according to --sessions; use a narrower pattern"
+        )
+    cleaner = _cleaner(job.settings.config, job.fingerprint)
     names = [n for n, take in zip(job.sensors, read, strict=False) if take is not None]
     take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
     row: dict[str, Any] = {"clips": ()}
@@ -94,7 +95,9 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     for body in bodies:
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            result, merged = _clean(recordings, body, job)
+            result, merged = job.settings.clean(
+                recordings, body, cleaner, _while_awaited
+            )
             notes = (
                 *take_notes,
                 *(merged.all_notes() if merged else ()),
@@ -130,30 +133,6 @@ def _missing_sensors(read: Sequence[Recording | None], job: Job) -> Iterator[str
 def _cleaner(config: CleanConfig, _fingerprint: str) -> Cleaner:
     """Return a cached cleaner; the fingerprint changes with the contents of files."""
     return Cleaner(config)
-
-
-def _clean(
-    recordings: Sequence[Recording], body: int, job: Job
-) -> tuple[CleanResult, Merged | None]:
-    settings = job.settings
-    if len(recordings) == 1:
-        cleaner = _cleaner(settings.config, job.fingerprint)
-        take = recordings[0].take(body)
-        return cleaner.clean(take, progress=_while_awaited), None
-    from kinefilter.pipeline.merge import clean_session, read_calibration
-
-    if len(set(job.sensors)) < len(job.sensors):
-        raise InputError(
-            f"{', '.join(source.take for source in job.sources)}: several are by the "
-            "same sensor according to --sessions; use a narrower pattern"
-        )
-    return clean_session(
-        recordings,
-        settings.config,
-        body=body,
-        calibration=read_calibration(settings.calibration),
-        progress=_while_awaited,
-    )
 
 
 def _write(result: CleanResult, clip: Clip, name: str, body: int, job: Job) -> ClipRow:

@@ -12,7 +12,6 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
-from kinefilter.pipeline.config_files import overlaid, read_settings
 from kinefilter.pipeline.formats import (
     Recording,
     check_writable,
@@ -22,11 +21,12 @@ from kinefilter.pipeline.formats import (
 )
 from kinefilter.pipeline.formats.export import with_frame_rate
 from kinefilter.pipeline.formats.recording import numbered, part_paths
-from kinefilter.pipeline.settings import Settings
+from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (
     check_calibration,
     check_output,
+    check_outputs,
     err,
     out,
     progress_bars,
@@ -93,10 +93,11 @@ class Clean:
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
-        recording = settings.read(self.takes[0])
+        recordings = [settings.read(path) for path in self.takes]
+        recording = recordings[0]
         several = len(recording.takes) > 1 and settings.body == "all"
         others = (self.json, self.save_contacts, self.report)
-        for body in recording.numbers(settings.body):
+        for body in settings.people(recordings):
             number, time = body if several else None, recording.take(body).time
             clip = None if self.one_file else number
             split = settings.config.gaps == "split"
@@ -113,30 +114,27 @@ class Clean:
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
-        merged = None
-        if len(self.takes) > 1:
-            recording, results, merged = self._together(recording)
-        else:
-            results = self._cleaned(recording)
+        results = self._cleaned(recordings)
         if self.one_file:
-            clips = [result.clip for result in results.values()]
+            clips = [result.clip for result, _ in results.values()]
             write_people(clips, self.out, settings.export)
-        for body, result in results.items():
-            number = body if several else None
-            paths = [self.out] if self.one_file else self._write_clips(result, number)
-            self._write(result, recording.take(body), number, merged, paths)
-        figures = {body: as_json(result) for body, result in results.items()}
+        for body, (result, merged) in results.items():
+            take = merged.take if merged else recording.take(body)
+            self._write(result, take, body if several else None, merged)
+        figures = {body: as_json(result) for body, (result, _) in results.items()}
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
-        for note in recording.notes:
-            out.print(note)
+        merges = [merged for _, merged in results.values() if merged]
+        for notes in (recording.notes, *(merged.all_notes() for merged in merges)):
+            for note in notes:
+                out.print(note)
         count = len(recording.takes)
-        if count > 1 and settings.body is None:
+        if count > 1 and settings.body is None and not merges:
             out.print(
                 f"cleaned body {recording.main + 1} of {count}, the one seen in most "
                 f"frames; choose another with --body 1 to {count}, or --body all"
             )
-        damaged = any(result.damage for result in results.values())
+        damaged = any(result.damage for result, _ in results.values())
         left_out = several and len(results) < count
         return 1 if left_out or (self.fail_on_damage and damaged) else 0
 
@@ -145,13 +143,9 @@ class Clean:
         if self.one_file:
             self._check_one_file()
         check_writable(self.out, self.settings.export)
-        if self.report is not None:
-            from kinefilter.pipeline.look.page import check_report
-
-            check_report(self.report)
+        check_output(self.report, suffix=".html")
         written = (self.out, self.json, self.save_contacts, self.report)
-        for k, path in enumerate(written):
-            check_output(path, *used, *written[:k])
+        check_outputs(written, *used)
 
     def _check_one_file(self) -> None:
         """Raise an InputError for options that do not combine with --one-file."""
@@ -166,78 +160,49 @@ class Clean:
         if settings.body != "all" or self.out.suffix.lower() != ".glb":
             raise InputError("--one-file requires --body all and a .glb clip")
 
-    def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
-        """Return the result for each requested person, by number."""
-        from kinefilter.pipeline.cleaner import clean
-
-        config, numbers = self.settings.config, recording.numbers(self.settings.body)
+    def _cleaned(
+        self, recordings: list[Recording]
+    ) -> dict[int, tuple[CleanResult, Merged | None]]:
+        """Return the results for each requested person, by number."""
+        settings, numbers = self.settings, self.settings.people(recordings)
         for name in ("contacts", "edits"):
-            if getattr(config, name) is not None and len(numbers) > 1:
+            if getattr(settings.config, name) is not None and len(numbers) > 1:
                 raise InputError(
                     f"--{name} applies to one person; choose one with --body"
                 )
-        results: dict[int, CleanResult] = {}
+        results = {}
         for number in numbers:
-            take = recording.take(number)
             try:
                 with progress_bars() as progress:
-                    results[number] = clean(take, config, progress=progress)
+                    results[number] = settings.clean(
+                        recordings, number, progress=progress
+                    )
             except InputError as error:
                 if number == numbers[-1] and not results:
                     raise
                 err.print(f"kinefilter: {error}; skipped")
         return results
 
-    def _together(
-        self, first: Recording
-    ) -> tuple[Recording, dict[int, CleanResult], Merged]:
-        """Merge and clean the takes of several sensors."""
-        from kinefilter.pipeline.merge import clean_session, read_calibration
-
-        settings, body = self.settings, self.settings.body
-        if body == "all":
-            raise InputError(
-                "--body all works with one sensor only; choose one person by number"
-            )
-        others = [settings.read(path) for path in self.takes[1:]]
-        with progress_bars() as progress:
-            result, merged = clean_session(
-                [first, *others],
-                settings.config,
-                body=body,
-                calibration=read_calibration(settings.calibration),
-                progress=progress,
-            )
-        notes = (*first.notes, *merged.all_notes())
-        return Recording((merged.take,), "merged", notes=notes), {1: result}, merged
-
-    def _write_clips(self, result: CleanResult, body: int | None) -> list[Path]:
-        paths = part_paths(numbered(self.out, body), len(result.clips))
-        for path, clip in zip(paths, result.clips, strict=True):
-            write_clip(clip, path, self.settings.export)
-        return paths
-
     def _write(
-        self,
-        result: CleanResult,
-        take: Take,
-        body: int | None,
-        merged: Merged | None,
-        clips: list[Path],
+        self, result: CleanResult, take: Take, body: int | None, merged: Merged | None
     ) -> None:
         from kinefilter.pipeline.summary import as_tables
 
+        clips = [self.out]
+        if not self.one_file:
+            clips = part_paths(numbered(self.out, body), len(result.clips))
+            for path, clip in zip(clips, result.clips, strict=True):
+                write_clip(clip, path, self.settings.export)
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
         out.print(f"wrote {', '.join(map(str, clips))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
-            from kinefilter.pipeline.look.page import read_limits, write_report
+            from kinefilter.pipeline.look.page import write_report
 
             path = numbered(self.report, body)
-            comparison = compare(result.clip, take, merged)
-            write_report(comparison, path, read_limits())
+            write_report(compare(result.clip, take, merged), path)
             out.print(f"wrote {path}")
 
 

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from kinefilter.pipeline.config import TakeFormat
 
-from .terminal import check_output, out, progress_bars, write_json
+from .terminal import check_output, check_outputs, out, progress_bars, write_json
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
@@ -63,11 +63,8 @@ class Merge:
         )
 
         written = (self.out, self.save_calibration, self.json)
-        for k, path in enumerate(written):
-            suffix = ".csv" if k == 0 else ""
-            check_output(
-                path, *self.takes, self.calibration, *written[:k], suffix=suffix
-            )
+        check_output(self.out, suffix=".csv")
+        check_outputs(written, *self.takes, self.calibration)
         calibration = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.takes]
         with progress_bars() as progress:

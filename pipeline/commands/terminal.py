@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -42,10 +42,16 @@ def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> N
     """
     if path is None:
         return
-    if not path.name.endswith(suffix):
+    if not path.name.lower().endswith(suffix):
         raise InputError(f"{path}: the name must end in {suffix}")
     check_folder(path)
     keep(path, *others)
+
+
+def check_outputs(written: Sequence[Path | None], *read: Path | None) -> None:
+    """Raise an InputError if an output is unusable, an input, or given twice."""
+    for k, path in enumerate(written):
+        check_output(path, *read, *written[:k])
 
 
 def keep(written: Path, *others: Path | None) -> None:

@@ -266,8 +266,8 @@ class Render:
     """Clips: .npz, USD, GLB, .bvh or .csv; the last two contain neither props nor
     reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """Output: out.mp4, out.gif or frames/%05d.png; {clip} stands for the clip's name.
-    Existing images are kept."""
+    """Output: out.mp4, out.gif or frames/%05d.png; {clip} stands for the clip's
+    name."""
     look: OmitArgPrefixes[Look] = field(default_factory=Look)
     jobs: int | None = None
     """Number of rendering processes; default: one per core."""
@@ -281,15 +281,10 @@ class Render:
         if self.jobs is not None and self.jobs < 1:
             raise InputError(f"--jobs {self.jobs}: must be at least 1")
         keep(self.out, *self.clips, self.look.compare)
-        try:
-            with progress_bars() as progress:
-                done = render_clips(
-                    self.clips, self.out, self.look, jobs=self.jobs, progress=progress
-                )
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                "run the same command again: image sequences resume, videos start over"
-            ) from None
+        with progress_bars() as progress:
+            done = render_clips(
+                self.clips, self.out, self.look, jobs=self.jobs, progress=progress
+            )
         out.print(str(done.backend))
         for path in done.written:
             out.print(f"wrote {path}")
@@ -321,12 +316,9 @@ class Report:
     frames."""
     calibration: Path | None = None
     """Calibration of several sensors, from 'merge --save-calibration'."""
-    thresholds: Path | None = None
-    """TOML file with limits for the table of metrics, such as fail_on = ["skate >
-    0.003"]; default: the limits that ship with kinefilter."""
     fail_on: UseAppendAction[tuple[str, ...]] = ()
-    """A limit such as "skate>0.003"; if it is exceeded, the exit code is 1. May be
-    repeated."""
+    """A limit such as "skate>0.003", in place of the page's own for this metric; if it
+    is exceeded, the exit code is 1. May be repeated."""
 
     def run(self) -> int:
         """Write the page, and print which limits were exceeded."""
@@ -338,10 +330,9 @@ class Report:
                 "no --take given; give the take that the clip was made from"
             )
         check_calibration(self.calibration, self.take)
-        page.check_report(self.out)
-        check_output(self.out, self.clip, *self.take, self.calibration, self.thresholds)
-        gates = [page.parse_limit(text) for text in self.fail_on]
-        limits = page.read_limits(self.thresholds)
+        others = (self.clip, *self.take, self.calibration)
+        check_output(self.out, *others, suffix=".html")
+        gates = [page.parse_limit(text) for text in dict.fromkeys(self.fail_on)]
         with progress_bars() as progress:
             comparison = read_comparison(
                 self.clip,
@@ -350,9 +341,7 @@ class Report:
                 calibration=self.calibration,
                 progress=progress,
             )
-        # A gate that is also a threshold appears once in the table.
-        limits = tuple(dict.fromkeys((*limits, *gates)))
-        page.write_report(comparison, self.out, limits)
+        page.write_report(comparison, self.out, gates)
         out.print(f"wrote {self.out}")
         failed = [gate for gate in gates if gate.fails(comparison.after)]
         for gate in failed:

@@ -112,6 +112,18 @@ def new_text(path: AnyPath) -> Iterator[TextIO]:
         yield file
 
 
+def append_whole(file: io.FileIO, data: bytes) -> None:
+    """Append data to an unbuffered file, on disk; after an OSError it is as before."""
+    before, left = file.seek(0, os.SEEK_END), memoryview(data)
+    try:
+        while left:  # the system may write only a part at a time
+            left = left[file.write(left) or 0 :]
+        os.fsync(file.fileno())
+    except OSError:
+        file.truncate(before)  # possible even on a full disk
+        raise
+
+
 def check_file(path: AnyPath) -> Path:
     """Return ``path`` if it is a file that can be opened, else raise InputError."""
     path = as_path(path)

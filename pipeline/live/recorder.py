@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import glob
-import os
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.pipeline.formats.files import check_folder
+from kinefilter.pipeline.formats.files import append_whole, check_folder
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
@@ -19,7 +18,7 @@ from .messages import SeenBody, as_arrays
 from .tally import Event, Tally
 
 _MAX_FILES = 64  # bodies in one recording
-_MAX_WAITING = 10_000  # frames by which the disk may fall behind
+_MAX_WAITING = 10_000  # frames of a person by which the disk may fall behind
 _MIN_FRAMES = 2  # of a take
 
 
@@ -27,9 +26,10 @@ _MIN_FRAMES = 2  # of a take
 class _Part:
     body: str  # the sender's name for the person
     path: Path
-    file: BinaryIO
+    file: FileIO
     last: float  # time stamp of the last frame [s]
     frames: int = 0  # written so far
+    waiting: deque[tuple[float, SeenBody]] = field(default_factory=deque)
 
 
 class Recorder:
@@ -55,28 +55,26 @@ class Recorder:
             )
         self._path, self._skeleton, self._tally = path, skeleton, tally
         self._parts: list[_Part] = []
-        self._waiting: deque[tuple[_Part, float, SeenBody]] = deque()
         self._writing = threading.Lock()
         self.failure: str | None = None  # why recording had to stop, if it had to
 
     def add(self, time: float, seen: SeenBody) -> None:
         """Keep a person's frame with the stamp ``time`` [s] for the next ``flush``."""
         part = self._part(time, seen)
-        if part is None or len(self._waiting) >= _MAX_WAITING:
+        if part is None or len(part.waiting) >= _MAX_WAITING:
             self._tally.events[Event.UNRECORDED] += 1
             return
         part.last = time
-        self._waiting.append((part, time, seen))
+        part.waiting.append((time, seen))
 
     def flush(self) -> None:
         """Write the frames since the last flush; threads that call it take turns."""
         with self._writing:
-            new = [self._waiting.popleft() for _ in range(len(self._waiting))]
             for part in list(self._parts):
-                rows = [(time, seen) for of, time, seen in new if of is part]
+                rows = [part.waiting.popleft() for _ in range(len(part.waiting))]
                 if rows and self.failure is None:
                     try:
-                        _write_whole(part.file, take_rows(*as_arrays(rows)).encode())
+                        append_whole(part.file, take_rows(*as_arrays(rows)).encode())
                         part.frames += len(rows)
                     except OSError as error:
                         self._fail(part.path, error)
@@ -88,8 +86,7 @@ class Recorder:
         written = []
         for part in self._parts:
             try:
-                with part.file as file:
-                    os.fsync(file.fileno())
+                part.file.close()
                 if part in kept:
                     number = kept.index(part) + 1 if len(kept) > 1 else None
                     written.append(part.path.replace(numbered(self._path, number)))
@@ -113,7 +110,7 @@ class Recorder:
         try:
             part = _Part(seen.id, path, path.open("xb", buffering=0), time)
             self._parts.append(part)
-            _write_whole(part.file, take_header(self._skeleton).encode())
+            append_whole(part.file, take_header(self._skeleton).encode())
         except OSError as error:
             self._fail(path, error)
             return None
@@ -124,18 +121,3 @@ class Recorder:
         self.failure = (
             f"{path}: recording stopped ({reason}); free some space and restart"
         )
-
-
-def _write_whole(file: BinaryIO, data: bytes) -> None:
-    """Write all data or, if that fails, leave the file as it was."""
-    before = file.seek(0, os.SEEK_END)
-    try:
-        _write(file, data)
-    except OSError:
-        file.truncate(before)
-        raise
-
-
-def _write(file: BinaryIO, data: bytes) -> None:
-    while data:
-        data = data[file.write(data) :]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING
@@ -101,7 +100,7 @@ class Broadcast:
     ) -> None:
         self._first, self._tally = skeleton_line(skeleton), tally
         self._waited_for = waited_for  # the input waits for readers
-        self.readers: set[Reader] = set()
+        self.readers: set[asyncio.Queue[str]] = set()  # lines that wait for each
 
     def send(self, live: LivePose) -> None:
         """Send a pose, without waiting for readers."""
@@ -113,33 +112,29 @@ class Broadcast:
 
     def put(self, line: str) -> None:
         """Queue a line for all readers."""
-        for reader in self.readers:
-            if len(reader.lines) == _MAX_WAITING:
+        for lines in self.readers:
+            if lines.full():
+                lines.get_nowait()
+                lines.task_done()
                 self._tally.events[Event.SLOW] += 1
-            reader.lines.append(line)
-            reader.idle.clear()
-            reader.came.set()
+            lines.put_nowait(line)
 
     async def flushed(self) -> None:
         """Wait until readers have every line, if the input waits for them."""
-        for reader in list(self.readers) if self._waited_for else ():
-            await reader.idle.wait()
+        for lines in list(self.readers) if self._waited_for else ():
+            await lines.join()
 
     async def serve(self, write: Callable[[str], Awaitable[None]]) -> None:
         """Write all lines from now on for a new reader, by calling ``write``."""
-        reader = Reader()
-        self.readers.add(reader)
+        lines: asyncio.Queue[str] = asyncio.Queue(_MAX_WAITING)
+        lines.put_nowait(self._first)
+        self.readers.add(lines)
         try:
-            await write(self._first)
             while True:
-                while reader.lines:
-                    await write(reader.lines.popleft())
-                reader.idle.set()
-                await reader.came.wait()
-                reader.came.clear()
+                await write(await lines.get())
+                lines.task_done()
         finally:
-            reader.idle.set()
-            self.readers.discard(reader)
+            self.readers.discard(lines)
 
     async def handle(self, connection: ServerConnection) -> None:
         """Serve a WebSocket reader until it disconnects."""
@@ -160,11 +155,3 @@ class Broadcast:
             pass
         except TimeoutError:
             connection.transport.abort()
-
-
-class Reader:
-    """Lines that wait for a reader."""
-
-    def __init__(self) -> None:
-        self.lines: deque[str] = deque(maxlen=_MAX_WAITING)
-        self.came, self.idle = asyncio.Event(), asyncio.Event()

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, State, Take
-from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import describe_gaps, long_gaps
+from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.failures import (
     describe_failures,
     find_displaced,
@@ -28,8 +29,7 @@ from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.pipeline.target.upright import find_turn
 from kinefilter.retarget import find_yaw
 
-from .drawing import Drawing, read_finite_clip
-from .sensor_views import sensors_of
+from .drawing import Drawing, read_finite_clip, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
@@ -241,11 +241,6 @@ def same_stamps(clip: Clip, take: Take) -> bool:
     return len(clip) == len(take) and np.allclose(
         clip.time, take.time, rtol=0.0, atol=_SKEW
     )
-
-
-def nearest_frames(stamps: Array, times: Array) -> Indices:
-    """Return the index of the time stamp [s] nearest to each time, shape (T,)."""
-    return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)
 
 
 def in_clip_frame(take: Take, clip: Clip) -> Array:

@@ -8,16 +8,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from kinefilter.characters import Clip, InputError, Motion, Prop, Skeleton, Take
+from kinefilter.characters import (
+    KINECT_V1,
+    Clip,
+    InputError,
+    Motion,
+    Prop,
+    Skeleton,
+    Take,
+)
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.formats import read_clip
-
-from .sensor_views import Sensor, sensors_of
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.cleaner import CleanResult
@@ -36,10 +43,20 @@ ORIGINS = ("#4d7fbf", "#f0a028", "#c8285a")
 TERMS = ("#7b4fb5", "#d9622b", "#20908d", "#8a8f29")
 """Terms that decided reliability (Term); the others have the color UNKNOWN."""
 UNKNOWN = "#999999"
+SENSORS = ((0, 140, 140), (205, 40, 130), (135, 95, 15), (60, 130, 225))
+"""Colors of the sensors, in order and repeating."""
 CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
 """Corners of a cube with sides of 2 around the origin, shape (8, 3)."""
 
 _GAP = 0.35  # m between the raw figure and the character, chosen by eye
+_UNLIKELY = 0.4  # reliability of the worst joint, averaged over _WINDOW. A guess
+_WINDOW = 0.5  # s
+_FIELD_V1, _FIELD_V2 = (57.0, 43.0), (70.0, 60.0)
+"""Horizontal and vertical fields of view of the depth cameras [degrees], from
+Microsoft's specifications of Kinect for Windows v1 and v2."""
+_DEPTH = 0.6  # m, depth of a frustum
+_VIEW = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+_FRAMES = 1000  # are enough to find the transform from the take to the clip
 
 
 class Sticks(NamedTuple):
@@ -86,6 +103,37 @@ class StickFigure:
             rotations=between([0.0, 1.0, 0.0], bones),  # from a cylinder's axis
             bone_present=present[ends] & present[starts],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """A sensor of a session and what it saw, in the world frame of a clip."""
+
+    name: str
+    """Number of the sensor, from 1, and name of its take."""
+    color: tuple[int, int, int]
+    """Red, green and blue, 0 to 255."""
+    skeleton: Skeleton
+    """Skeleton of the merged take."""
+    joints: Array
+    """Joint positions it saw at the clip's frames [m], NaN where none, (T, J, 3)."""
+    residuals: Array
+    """Distances of these from the joints of the merged take [m], shape (T, J)."""
+    shares: Array
+    """Share of this sensor in each merged joint, 0 to 1, shape (T, J)."""
+    frustum: Array
+    """Position [m], and corners of its view 0.6 m away: upper left, upper right, lower
+    right and lower left of its picture, shape (5, 3)."""
+    figures: dict[str, Any]
+    """Row of the sensor in ``Merged.figures``."""
+
+    @property
+    def edges(self) -> Array:
+        """Edges of the frustum, then a line down to the floor [m], shape (9, 2, 3)."""
+        eye, *corners = self.frustum
+        sides = zip(corners, [*corners[1:], corners[0]], strict=True)
+        below = eye * [1.0, 0.0, 1.0]
+        return np.array([*((eye, corner) for corner in corners), *sides, (eye, below)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +197,62 @@ class Drawing:
         return {name: name not in hidden for name in names}
 
     @property
+    def doubtful(self) -> Flags:
+        """Frames where the tracker failed or a joint is hardly reliable, (T,).
+
+        Hands are left out, as their reliability is nearly always low.
+        """
+        from scipy.ndimage import uniform_filter1d  # takes long to load
+
+        clip, joints = self.clip, np.flatnonzero(~self.clip.skeleton.hands)
+        step = float(np.nan_to_num(nominal_step(clip.time)) or 1)
+        rates = np.nan_to_num(clip.reliability[:, joints], nan=1.0)
+        means = uniform_filter1d(rates, max(round(_WINDOW / step), 1), axis=0)
+        flags = means.min(axis=1) < _UNLIKELY
+        for failure in self.failures:
+            flags |= (failure.start <= clip.time) & (clip.time <= failure.end)
+        return np.asarray(flags)
+
+    @property
     def raw_offset(self) -> Array:
         """Offset [m] of the raw figure, beside the character's right, shape (3,)."""
         if self.raw is None:
             return np.zeros(3)
         return offset_beside(self.clip.positions, -left_of(self.clip))
+
+
+def sensors_of(merged: Merged, raw: Array) -> tuple[Sensor, ...]:
+    """Return the sensors of a merged take in the frame of its clip.
+
+    ``raw`` is the merged take [m] in that frame, shape (T, J, 3).
+    """
+    from kinefilter.pipeline.merge.rigid import placement
+
+    some = slice(None, None, max(1, len(raw) // _FRAMES))
+    placed = placement(merged.take.positions[some], raw[some])
+    sensors = []
+    rows, residuals = merged.figures()["sensors"], merged.residuals
+    for k, (take, row) in enumerate(zip(merged.takes, rows, strict=True)):
+        # In its own frame, a sensor is at the origin and looks along +z.
+        field = _FIELD_V1 if take.skeleton == KINECT_V1 else _FIELD_V2
+        corners = np.zeros((5, 3))
+        corners[1:, :2] = _DEPTH * (_VIEW * np.tan(0.5 * np.radians(field)))
+        corners[1:, 2] = _DEPTH
+        if k:
+            corners = merged.alignments[k - 1].placed.apply(corners)
+        sensors.append(
+            Sensor(
+                name=f"{k + 1}: {Path(take.source.removesuffix('.gz')).stem}",
+                color=SENSORS[k % len(SENSORS)],
+                skeleton=merged.take.skeleton,
+                joints=placed.apply(merged.seen[k]),
+                residuals=residuals[k],
+                shares=merged.shares[:, k],
+                frustum=placed.apply(corners),
+                figures=row,
+            )
+        )
+    return tuple(sensors)
 
 
 def offset_beside(positions: Array, way: Array, room: float = 0.0) -> Array:

@@ -10,8 +10,6 @@ from tyro.conf import arg
 
 from kinefilter.characters import InputError
 
-_SAMPLES = (0, 1, 2, 4, 8, 16)
-
 
 @dataclass(frozen=True)
 class Look:
@@ -28,8 +26,6 @@ class Look:
     """Time in the clip to start at, in seconds."""
     to: float | None = None
     """Time in the clip to end at, in seconds; default: the end of the clip."""
-    every: int = 1
-    """Draw only every Nth frame; a video still plays at the same speed."""
     compare: Path | None = None
     """The take that the clip was made from, drawn as a stick figure with joints colored
     by reliability: blue (reliable), pale yellow, red (unreliable)."""
@@ -38,21 +34,12 @@ class Look:
     scene: str | None = None
     """Room to draw around the clip: a scene (an unknown name lists them) or an MJCF
     file (.xml); default: the props stored in the clip."""
-    seams: bool = False
-    """Draw lines along and across the limbs, which show how they twist."""
     shadows: bool = False
     """Draw shadows even without a GPU, which takes at least five times as long."""
-    samples: int | None = None
-    """Samples per pixel, to smooth jagged edges; default: 4 with a GPU, else 0."""
 
     def __post_init__(self) -> None:
         if self.fps is not None and not 0.1 <= self.fps <= 240.0:
             raise InputError(f"--fps {self.fps:g}: expected 0.1 to 240")
-        if self.every < 1:
-            raise InputError(f"--every {self.every}: expected 1 or more")
-        if self.samples is not None and self.samples not in _SAMPLES:
-            allowed = ", ".join(map(str, _SAMPLES))
-            raise InputError(f"--samples {self.samples}: expected one of {allowed}")
         if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
             span = f"--from {self.start:g} --to {self.to}"
             raise InputError(f"{span}: expected 0 <= from <= to")

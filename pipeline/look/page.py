@@ -1,4 +1,4 @@
-"""Report pages, and the limits for their metrics, such as ``skate>0.003``.
+"""Report pages, and the limits of their metrics, such as ``skate>0.003``.
 
 A report is one HTML file that needs no network.
 """
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Take, Term
 from kinefilter.characters.arrays import Array, shown
-from kinefilter.pipeline.formats.files import atomic_path, read_toml
+from kinefilter.pipeline.formats.files import atomic_path
 from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.metrics import METRICS, even_differences
 
@@ -31,7 +31,6 @@ from .drawing import ORIGINS, RELIABILITY, TERMS, UNKNOWN
 
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _FORM = re.compile(rf"\s*(\w+)\s*([<>])\s*({_NUMBER})\s*")
-_EXPECTED = 'expected a list of limits, fail_on = ["skate > 0.003"],'
 _TEMPLATE = Path(__file__).parent / "template"
 _SHARED = (_TEMPLATE / "page.css", _TEMPLATE / "drawing.js")  # of all pages
 _SCRIPTS = ("arrays", "figures", "sensors", "maps", "tables", "page")
@@ -68,37 +67,29 @@ def parse_limit(text: str) -> Limit:
     return Limit(form[1], ">" if form[2] == ">" else "<", float(form[3]))
 
 
-def read_limits(path: str | os.PathLike[str] | None = None) -> tuple[Limit, ...]:
-    """Read the limits of a TOML file, by default those that ship with kinefilter.
-
-    Raises an InputError unless it has a list ``fail_on`` of limits (``parse_limit``).
-    """
-    name = os.fspath(path or Path(__file__).with_name("thresholds.toml"))
-    table = read_toml(name, _EXPECTED)
-    texts = table.get("fail_on")
-    listed = isinstance(texts, list) and all(isinstance(t, str) for t in texts)
-    if not listed or len(table) > 1:
-        raise InputError(f"{name}: {_EXPECTED} and nothing else")
-    try:
-        return tuple(map(parse_limit, table["fail_on"]))
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-
-
-def check_report(path: Path) -> None:
-    """Raise an InputError unless a file is named as a web page."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: a report is a web page; name it .html")
+LIMITS = (
+    Limit("skate", ">", 0.003),  # m per frame: 9 cm per second at 30 Hz
+    Limit("skate_share_over_0p2", ">", 0.1),
+    Limit("float_mm", ">", 20.0),
+    Limit("penetration_mm", ">", 20.0),
+    Limit("bone_length_cv", ">", 0.001),  # the bones of a clip are rigid
+    Limit("jitter", ">", 200.0),  # m/s^3; raw takes have several hundred
+    Limit("amplitude_kept", "<", 0.8),  # if less, the motion was smoothed away
+    Limit("moved_cm", ">", 10.0),
+)
+"""What a page marks as failed: guesses at what animators notice."""
 
 
 def write_report(
-    comparison: Comparison, path: str | os.PathLike[str], limits: Sequence[Limit] = ()
+    comparison: Comparison, path: str | os.PathLike[str], gates: Sequence[Limit] = ()
 ) -> None:
     """Write a self-contained report page, whole or not at all.
 
-    The table of metrics shows which ``limits`` fail. Raises an InputError if the file
-    cannot be written.
+    The table of metrics shows which of LIMITS fail, and which ``gates``, which replace
+    those of the same metrics. Raises an InputError if the file cannot be written.
     """
+    gated = {gate.metric for gate in gates}
+    limits = (*(limit for limit in LIMITS if limit.metric not in gated), *gates)
     contents = contents_of(comparison, limits)
     scripts = [_TEMPLATE / f"{name}.js" for name in _SCRIPTS]
     files = [_TEMPLATE / "page.html", *scripts]

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,8 +64,7 @@ def render_clips(
     """Draw clips, each to one file or to numbered pictures (``output_paths``).
 
     The same clip and look give the same pixels for any number of processes (``jobs``,
-    by default one per core). Numbered pictures of an earlier run are kept if they show
-    the same clip and look. If one of several clips cannot be drawn, it is left out.
+    by default one per core). If one of several clips cannot be drawn, it is left out.
     Raises an InputError if the look, the output, OpenGL or the only clip is invalid.
     """
     look = look or Look()
@@ -85,14 +84,14 @@ def render_clips(
                 if path.suffix.lower() == ".gif" and what.rate > _FASTEST_GIF:
                     raise InputError(
                         f"{clip}: GIF has at most {_FASTEST_GIF:g} frames per second, "
-                        f"not {what.rate:g}; lower --fps or raise --every"
+                        f"not {what.rate:g}; lower --fps"
                     )
                 planned.append(_Job(task, len(what.drawing.clip), what.rate))
             except InputError as error:
                 failures.append(str(error))
         backend = search.result()
     for job in planned:
-        job.task = job.task.drawn_by(backend)
+        job.task = replace(job.task, gpu=not backend.software)
     steps = iter(progress("draw", sum(job.frames for job in planned)))
     _draw(planned, backend, jobs or cores(), steps)
     failures += [job.failure for job in planned if job.failure]

@@ -6,8 +6,6 @@ that parts from several processes can be joined in one file.
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
@@ -36,8 +34,6 @@ _X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
 _LARGEST_RATE = 100_000  # denominator of a frame rate
 _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
 _STEP = Fraction(1, 1000)  # s; filters need a time base but only use the order
-_HEADER = 8 + 25  # bytes of a PNG's signature and first chunk
-_KEY = b"kinefilter\0"
 
 
 def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
@@ -91,30 +87,6 @@ def encode_png(picture: Pixels) -> bytes:
     codec.options = {"compression_level": "4", "pred": "up"}
     packets = codec.encode(_frame(picture, 0, codec.time_base)) + codec.encode(None)
     return b"".join(bytes(packet) for packet in packets)
-
-
-def write_frame(picture: Pixels, path: Path, fingerprint: str) -> None:
-    """Write a picture, whole or not at all, with a fingerprint of what it shows."""
-    data = encode_png(picture)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data[:_HEADER] + _chunk(fingerprint) + data[_HEADER:])
-
-
-def is_drawn(path: Path, fingerprint: str) -> bool:
-    """Return True if a file exists and has this fingerprint, or raise an InputError."""
-    chunk = _chunk(fingerprint)
-    try:
-        with path.open("rb") as file:
-            return file.read(_HEADER + len(chunk))[_HEADER:] == chunk
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-def _chunk(text: str) -> bytes:  # PNG specification, 11.3.3.2: tEXt
-    body = b"tEXt" + _KEY + text.encode("latin-1")
-    return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
 
 
 def _fraction(rate: float) -> Fraction:

@@ -6,12 +6,9 @@ MuJoCo is imported only by processes that draw, as it then chooses its OpenGL.
 from __future__ import annotations
 
 import atexit
-import hashlib
-import json
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +16,7 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError, Prop
 from kinefilter.pipeline.formats.export import resampled
-from kinefilter.pipeline.settings import hash_of
+from kinefilter.pipeline.formats.files import atomic_path
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.pipeline.workers import given_up
 
@@ -27,7 +24,6 @@ from .cameras import axes_toward, camera_path
 from .comparison import raw_positions
 from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
-from .video_opengl import Backend
 
 if TYPE_CHECKING:
     from .video_files import Coded, Pixels
@@ -49,30 +45,8 @@ class RenderTask:
     clip: Path
     out: Path
     look: Look
-    fingerprint: str = ""
-    """Hash of everything that decides the pictures, set by ``drawn_by``."""
-
-    def drawn_by(self, backend: Backend) -> RenderTask:
-        """Return the task with its fingerprint and with defaults for the backend.
-
-        Without a GPU, shadows and samples multiply the drawing time. The fingerprint
-        covers the content of files, but not of files that a scene includes.
-        """
-        soft, look, samples = backend.software, self.look, self.look.samples
-        if samples is None:
-            samples = 0 if soft else _GPU_SAMPLES
-        look = replace(look, shadows=look.shadows or not soft, samples=samples)
-        named = (look.compare or "", look.camera, look.scene or "")
-        files = (self.clip, *map(Path, named))
-        contents = {
-            **asdict(look),
-            "renderer": str(backend),
-            "kinefilter": version("kinefilter"),
-            "files": [hash_of(file) for file in files if file.is_file()],
-        }
-        text = json.dumps(contents, sort_keys=True, default=str)
-        fingerprint = hashlib.sha256(text.encode()).hexdigest()[:32]
-        return replace(self, look=look, fingerprint=fingerprint)
+    gpu: bool = False
+    """Whether a GPU draws; without one, shadows and smooth edges take long."""
 
 
 class Composition:
@@ -123,7 +97,7 @@ def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
         to = "the end" if look.to is None else f"{look.to:g} s"
         none = f"no frames from {look.start:g} s to {to}"
         raise InputError(f"{clip.source}: {none}; it lasts {since[-1]:.2f} s")
-    return even.at(chosen[:: look.every]), rate / look.every
+    return even.at(chosen), rate
 
 
 def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop, ...]:
@@ -153,7 +127,7 @@ def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
     Returns the encoded parts of a video or a GIF; numbered pictures are written. Raises
     an InputError if something cannot be drawn or written.
     """
-    from .video_files import encode_png, encode_video, is_drawn, write_frame  # loads av
+    from .video_files import encode_png, encode_video  # loads av
 
     out, suffix = task.out, task.out.suffix.lower()
     parts = [frames[k : k + PART] for k in range(0, len(frames), PART)]
@@ -162,15 +136,13 @@ def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
     if suffix == ".mp4":
         rate = _opened(task)[0].rate
         return [encode_video(_pictures(task, k), task.look.pixels, rate) for k in parts]
-    paths = {n: out.with_name(out.name % n) for n in frames}
-    mark = task.fingerprint
-    missing = {n: path for n, path in paths.items() if not is_drawn(path, mark)}
-    for picture, path in zip(_pictures(task, missing), missing.values(), strict=True):
-        write_frame(picture, path, mark)
+    for number, picture in zip(frames, _pictures(task, frames), strict=True):
+        with atomic_path(out.with_name(out.name % number)) as temporary:
+            temporary.write_bytes(encode_png(picture))
     return []
 
 
-def _pictures(task: RenderTask, numbers: Iterable[int]) -> Iterator[Pixels]:
+def _pictures(task: RenderTask, numbers: range) -> Iterator[Pixels]:
     for number in numbers:
         if given_up():
             raise InputError(f"{task.clip}: interrupted")
@@ -191,12 +163,12 @@ def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
         model = ClipModel(
             what.drawing,
             size=look.pixels,
-            samples=look.samples or 0,
+            samples=_GPU_SAMPLES if task.gpu else 0,
             toward=what.camera.toward,
-            seams=look.seams,
             translucent=what.drawing.raw is not None and look.place == "over",
         )
-        renderer = OffscreenRenderer(model, what.camera, shadows=look.shadows)
+        shadows = look.shadows or task.gpu
+        renderer = OffscreenRenderer(model, what.camera, shadows=shadows)
         _open.append((task, what, renderer))
     return _open[0][1:]
 

@@ -17,12 +17,10 @@ from kinefilter.characters.arrays import Flags, runs
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile
 from kinefilter.pipeline.progress import Progress
 
-from .curves import AXES, Curves
-from .doubts import doubtful
-from .drawing import Drawing
-from .edit_history import EditHistory, timeline_html
+from .drawing import Drawing, Sensor
+from .edit_history import EditHistory
 from .playhead import Playback
-from .sensor_views import Sensor
+from .timelines import AXES, Curves, timeline_html
 from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
 
@@ -172,7 +170,7 @@ class Viewer(ServedPage):
             self._scene = ViewerScene(self._server, drawing, self._edits)
         self._pin = None  # removed with the old scene
         self._edits.look_at(drawing.clip)
-        self._doubtful = doubtful(drawing.clip, drawing.failures)
+        self._doubtful = drawing.doubtful
         self._show_edits()
         self._choose_layers()
 

@@ -18,9 +18,8 @@ from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_over, camera_path
-from .drawing import Color, Drawing, StickFigure, left_of, segment_starts
+from .drawing import Color, Drawing, Sensor, StickFigure, left_of, segment_starts
 from .edit_history import EditHistory
-from .sensor_views import Sensor
 
 Layer = tuple[Any, Callable[[int], None]]
 """What is shown or hidden together, and a function that moves it to a frame."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, Take, Tracking
+from kinefilter.characters import Body, Origin, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
@@ -34,7 +34,6 @@ def clean_session(
     *,
     body: int | None = None,
     calibration: Sequence[Alignment] = (),
-    tracking: Tracking | None = None,
     edits: Sequence[Edit] | None = None,
     progress: Progress = silent,
 ) -> tuple[CleanResult, Merged]:
@@ -54,20 +53,16 @@ def clean_session(
     config = replace(config, edits=None)
     merged = merge(takes, body=body, calibration=calibration, progress=progress)
     edited(merged.take, edits)  # refuses them before any work is done
-    cleaner, before = _cleaner(merged, config, (), tracking, progress), None
+    cleaner, before = _cleaner(merged, config, (), progress), None
     if edits:
         before = cleaner.unedited(merged.take, progress)
-        cleaner = _cleaner(merged, config, edits, tracking, progress)
+        cleaner = _cleaner(merged, config, edits, progress)
     result = cleaner.clean(merged.take, edits=edits, before=before, progress=progress)
     return result, merged
 
 
 def _cleaner(
-    merged: Merged,
-    config: CleanConfig,
-    edits: Sequence[Edit],
-    tracking: Tracking | None,
-    progress: Progress,
+    merged: Merged, config: CleanConfig, edits: Sequence[Edit], progress: Progress
 ) -> Cleaner:
     """Return a cleaner for a merged take that uses each sensor's corrected joints."""
     # Alignments hold in the sensors' own frames, so these are not leveled; failures
@@ -89,7 +84,7 @@ def _cleaner(
         scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
     fused = fuse(corrected, scores, merged.alignments, progress)
     # A person who turns away from one sensor is not a failure of all sensors.
-    cleaner = _without_failures(Cleaner(config, tracking=tracking))
+    cleaner = _without_failures(Cleaner(config))
     return cleaner.replaced(Corrected(config, fused.take.positions))
 
 

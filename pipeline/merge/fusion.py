@@ -19,8 +19,7 @@ from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
-from .facing import Facing
-from .sides import Sides
+from .sides import Facing, Sides
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
 # two-kinects; results hardly depend on any but the first two.

@@ -10,6 +10,7 @@ import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
@@ -161,14 +162,10 @@ def _frame_times(stamps: Sequence[Array]) -> Array:
     time, *rest = sorted(stamps, key=len, reverse=True)
     least = _NEAREST * float(np.median(np.diff(time)))
     for others in rest:
-        away = np.abs(others - time[_nearest(time, others)])
+        away = np.abs(others - time[nearest_frames(time, others)])
         time = np.union1d(time, others[away > least])
     kept = np.concatenate([[True], np.diff(time) > 1e-4])
     return np.asarray(time[kept])
-
-
-def _nearest(stamps: Array, times: Array) -> Indices:
-    return np.searchsorted(0.5 * (stamps[1:] + stamps[:-1]), times, "right")
 
 
 def _sights(
@@ -177,7 +174,10 @@ def _sights(
     """Return what a sensor sees at some times of the first one's clock."""
     stamps = found.clock.at(time)
     positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
-    rows, joints = _nearest(take.time, stamps), _joint_map(take.skeleton, skeleton)
+    rows, joints = (
+        nearest_frames(take.time, stamps),
+        _joint_map(take.skeleton, skeleton),
+    )
     positions = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
     missing = np.isnan(positions[..., 0])
     reliability, state = (

@@ -1,4 +1,4 @@
-"""Finds which sensors have a person's left and right swapped.
+"""Finds which sensors have a person's left and right swapped, and where a person faces.
 
 A sensor takes people whom it sees from behind for people who face it. It still sees
 where the limbs are, and they show which way a body faces: knees bend forward, elbows
@@ -6,6 +6,11 @@ backward, hands and head are in front. So the sides are chosen on which the sens
 agree with each other and with how the body bends, without joints that leap from one
 side to the other: the cheapest path over all frames (Viterbi 1967), or, live, the
 cheapest path so far.
+
+The heading is such a path, too. A sensor sees people who face it, or face away, as they
+are, but shows people at its side turned toward itself. So each is weighted by the
+squared cosine of the angle from which it would look at them; where sensors contradict
+each other, people turn no faster than they have to.
 """
 
 from __future__ import annotations
@@ -28,6 +33,10 @@ _FACING = 0.1  # m of mean distance that such a body costs
 _SWAPPED = 0.02  # m of mean distance that each frame with swapped sides costs
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
+_TOLERANCE = np.radians(45.0)  # rad by which a heading may be off
+_MAX_COST = 4.0  # in squared tolerances, of one sensor
+_TURNING = np.radians(100.0)  # rad/s at which turning costs as much as the tolerance
+_GRID = 2.0 * np.pi * np.arange(72) / 72  # headings to choose from [rad]
 
 
 class CheapestPath:
@@ -136,3 +145,28 @@ def _distance(points: Array, others: Array, weights: Array) -> float:
     if not known.any():
         return 0.0
     return float(np.average(apart[known], weights=weights[known]))
+
+
+class Facing(CheapestPath):
+    """Follows a person's heading [rad], 0 along +z."""
+
+    def __init__(self) -> None:
+        super().__init__(_GRID)
+
+    def step(
+        self, yaws: Array, angles: Array, elapsed: float
+    ) -> tuple[Any, NDArray[np.uint16]]:
+        """Return the heading, given the frames so far; see ``CheapestPath.step``.
+
+        ``yaws`` are the headings in each sensor [rad], without swapped sides, NaN where
+        it sees no one, and ``angles`` the directions to each sensor [rad], both (S,).
+        """
+        turning = _wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
+        errors = _wrapped(yaws[:, None] - _GRID) / _TOLERANCE
+        views = np.cos(angles[:, None] - _GRID) ** 2
+        costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=0)
+        return self._next(turning**2, costs)
+
+
+def _wrapped(angles: Array) -> Array:
+    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)

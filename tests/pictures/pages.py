@@ -25,7 +25,7 @@ from kinefilter.characters import Clip, Take
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.page import read_limits, write_report
+from kinefilter.pipeline.look.page import write_report
 from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.workers import one_thread
@@ -66,7 +66,7 @@ def take_report(clip: Clip, take: Take, out: Path) -> None:
     """Write the picture of a report."""
     with tempfile.TemporaryDirectory() as folder, Browser(size=REPORT) as browser:
         page = Path(folder) / "report.html"
-        write_report(compare(clip, take), page, read_limits())
+        write_report(compare(clip, take), page)
         browser.open(page)
         browser.run(
             "const s = document.getElementById('scrubber'); s.value = arguments[0];"

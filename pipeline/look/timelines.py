@@ -1,21 +1,28 @@
-"""Curves of a joint's path and reliability over time, as a picture in a page."""
+"""Pictures over time in the panel of ``view``: curves of a joint, and bars of flags."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags, Indices, runs
 
 from .drawing import PHYSICS, Drawing, StickFigure, reliability_colors
 
 AXES = ("x (left)", "y (up)", "z (forward)")
 """The coordinates of a joint, in the clip's world frame."""
 
-_WIDTH, _HEIGHT = 600, 150  # units of the picture, roughly pixels
+_WIDTH = 600  # units of the pictures, roughly the pixels across a panel
+_HEIGHT = 150  # px, height of the curves
 _STRIP = 8  # px, height of the strip of reliability below
 _COLUMNS = 300  # steps of a curve: however long the motion, no more can be seen
 _RAW = (130, 130, 130)
 _FLATTEST = 0.05  # m that the picture's height spans, at least
+_ROW = 16  # px from one row of bars to the next
+_BAR = 10  # px, height of a bar
+_CLOSE = 300  # frames of a close-up: ten seconds, at least a pixel each
+_COLORS = {"L": "#2f7fd6", "R": "#e08a2e", "edited": "#777", "doubtful": "#d9342b"}
 
 
 class Curves:
@@ -30,8 +37,7 @@ class Curves:
             "other": figures.get("other"),
         }
         # The mean of the frames in each column, where there are too many to be seen.
-        columns = min(self._count, _COLUMNS)
-        starts = np.arange(columns) * self._count // columns
+        starts = _starts(self._count, _COLUMNS)
         sizes = np.diff([*starts, self._count])
         rows = {}
         for name, figure in shown.items():
@@ -68,16 +74,12 @@ class Curves:
 
     def html(self, frame: int) -> str:
         """Return the picture as HTML, with a mark at a frame."""
-        mark, height = (frame + 0.5) * _WIDTH / self._count, _HEIGHT + _STRIP
+        mark = (frame + 0.5) * _WIDTH / self._count
+        picture = _picture("curves", _HEIGHT + _STRIP, self._picture, mark)
         return (
             '<div style="font-size:11px;margin:4px 8px">'
             f"<div>{self._legend} &middot; {100.0 * self._low:.0f} to "
-            f"{100.0 * self._high:.0f} cm; below, reliability</div>"
-            f'<svg id="curves" viewBox="0 0 {_WIDTH} {height}" width="100%" '
-            f'height="{height}" preserveAspectRatio="none" '
-            f'style="background:rgba(128,128,128,0.12)">{self._picture}'
-            f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
-            'vector-effect="non-scaling-stroke"/></svg></div>'
+            f"{100.0 * self._high:.0f} cm; below, reliability</div>{picture}</div>"
         )
 
 
@@ -91,4 +93,66 @@ def _strip(starts: Array, rates: Array) -> str:
         f'<rect x="{x:.1f}" y="{_HEIGHT}" width="{end - x:.1f}" height="{_STRIP}" '
         f'fill="rgb({",".join(f"{255.0 * part:.0f}" for part in color)})"/>'
         for x, end, color in zip(edges[:-1], edges[1:], colors, strict=True)
+    )
+
+
+def timeline_html(
+    rows: Mapping[str, Flags], frame: int, chosen: tuple[int, int]
+) -> str:
+    """Return HTML that shows when flags (T,) are true, as rows of bars over time.
+
+    ``frame`` is marked, and the frames from the first to the last ``chosen`` are
+    shaded. Long motions also get a close-up of the frames around ``frame``.
+    """
+    flags = np.column_stack(list(rows.values()))
+    count, height = len(flags), _ROW * len(rows)
+
+    def strip(name: str, flags: Flags, frames: range) -> str:
+        step, scale, bars = _WIDTH / len(flags), _WIDTH / len(frames), ""
+        for k, row in enumerate(rows):
+            path = "".join(
+                f"M{run.start * step:.1f} {_ROW * k + _ROW // 2}"
+                f"h{(run.stop - run.start) * step:.1f}"
+                for run in runs(flags[:, k])
+            )
+            bars += (
+                f'<path class="row" d="{path}" stroke="{_COLORS[row.split()[-1]]}" '
+                f'stroke-width="{_BAR}" fill="none"/>'
+            )
+        ends = np.array([chosen[0], chosen[1] + 1]) - frames.start
+        first, end = np.clip(ends, 0, len(frames)).tolist()
+        shade = (
+            f'<rect x="{first * scale:.1f}" width="{(end - first) * scale:.1f}" '
+            f'height="{height}" fill="rgba(128,128,128,0.25)"/>'
+        )
+        mark = (frame - frames.start + 0.5) * scale
+        return (
+            '<div style="display:flex;gap:6px;font-size:11px;margin:4px 8px">'
+            f'<div style="flex:none;line-height:{_ROW}px">{"<br>".join(rows)}</div>'
+            f"{_picture(name, height, shade + bars, mark)}</div>"
+        )
+
+    coarse = np.logical_or.reduceat(flags, _starts(count, _WIDTH), axis=0)
+    strips = strip("timeline", coarse, range(count))
+    if count > 2 * _CLOSE:
+        first = min(max(frame - _CLOSE // 2, 0), count - _CLOSE)
+        near = range(first, first + _CLOSE)
+        strips += strip("close-up", flags[near], near)
+    return strips
+
+
+def _starts(count: int, most: int) -> Indices:
+    """Return where columns of frames start: no more than can be seen."""
+    columns = min(count, most)
+    return np.arange(columns) * count // columns
+
+
+def _picture(name: str, height: int, inside: str, mark: float) -> str:
+    """Return a picture as wide as the panel, with a mark at a frame."""
+    return (
+        f'<svg id="{name}" viewBox="0 0 {_WIDTH} {height}" width="100%" '
+        f'height="{height}" preserveAspectRatio="none" '
+        f'style="background:rgba(128,128,128,0.12)">{inside}'
+        f'<path d="M{mark:.1f} 0V{height}" stroke="#d9342b" stroke-width="2" '
+        'vector-effect="non-scaling-stroke"/></svg>'
     )
