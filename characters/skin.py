@@ -84,6 +84,27 @@ def skin_of(body: Body) -> Skin:
     return Skin(points, _normals(points, quads), quads, segments, weights, margins)
 
 
+def seams_of(body: Body) -> Array:
+    """Return where each point of the skin lies around and along its segment, (P, 2).
+
+    Both are in [0, 1]. The first is 0.5 on two lines along the segment, which show its
+    twist, and 0 and 1 halfway between them; the second is 0 where the segment begins.
+    Both are 0 on collarbones, which have no seams.
+    """
+    skin, skeleton, rest = skin_of(body), body.skeleton, body.rest_positions
+    seams = np.zeros((len(skin.points), 2))
+    for j, p in enumerate(skeleton.parents):
+        if skeleton.joints[j].startswith("Shoulder") and j != skeleton.girdle:
+            continue
+        ahead = [0.0, 1.0, 0.0] if skeleton.joints[j][:4] == "Foot" else [0.0, 0.0, 1.0]
+        own, start = skin.segments[:, 0] == j, rest[p] if p >= 0 else rest[j]
+        away, bone = skin.points[own] - start, rest[j] - start
+        share = away @ bone / max(float(bone @ bone), 1e-12)
+        around = unit(away - share[:, None] * bone) @ ahead
+        seams[own] = np.column_stack([0.5 + 0.5 * around, np.clip(share, 0.0, 1.0)])
+    return seams
+
+
 def _triangles(quads: Indices) -> Indices:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 

@@ -112,6 +112,24 @@ def test_numbered_pictures_are_the_same_whatever_the_processes(
 
 
 @pytest.mark.usefixtures("backend")
+def test_seams_are_dark_lines_on_the_body_alone(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    clip, out = tmp_path / "clip.npz", tmp_path / "%d.png"
+    write_clip(make_clip(1), clip)
+    pictures = []
+    for seams in (False, True):
+        look = Look(size="320x180", seams=seams)
+        render_clips([clip], out.with_name(f"{seams}-%d.png"), look, jobs=1)
+        pictures.append(_decoded(tmp_path / f"{seams}-0.png")[0][0].astype(int))
+    darker = pictures[0].sum(axis=2) - pictures[1].sum(axis=2)
+    assert darker.min() >= 0
+    skin = np.ptp(pictures[0], axis=2) > 10  # the floor is gray
+    assert 0.02 < np.mean(darker[skin] > 60) < 0.4
+    assert np.mean(darker[~skin] > 60) < 0.002
+
+
+@pytest.mark.usefixtures("backend")
 def test_a_broken_clip_does_not_keep_others_from_being_drawn(
     make_clip: MakeClip, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

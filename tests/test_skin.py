@@ -17,7 +17,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.characters.skin import INFLUENCES, Skin, quads_of, skin_of
+from kinefilter.characters.skin import INFLUENCES, Skin, quads_of, seams_of, skin_of
 from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]
@@ -171,6 +171,25 @@ def test_in_any_posture_the_skin_stays_within_its_margins() -> None:
         moved = posed(skin, body, rotations)
         assert (moved > low - 1e-9).all()
         assert (moved < high + 1e-9).all()
+
+
+@all_bodies
+def test_two_seams_run_along_each_segment_and_one_around_its_middle(body: Body) -> None:
+    skin, seams = skin_of(body), seams_of(body)
+    assert seams.shape == (len(skin.points), 2)
+    assert (seams >= 0.0).all()
+    assert (seams <= 1.0).all()
+    knee = body.skeleton.index("KneeLeft")
+    own = skin.segments[:, 0] == knee
+    hip = body.rest_positions[body.skeleton.parents[knee]]
+    near = np.abs(seams[own, 0] - 0.5) < 0.05
+    away = skin.points[own][near] - hip
+    assert np.abs(away[:, 2]).max() < 0.15 * np.abs(away[:, 0]).max()  # at the sides
+    assert len(np.unique(np.sign(away[:, 0]))) == 2
+    middle = np.abs(seams[own, 1] - 0.5) < 0.05
+    half = 0.5 * body.lengths[knee]
+    down = hip[1] - skin.points[own][middle][:, 1]
+    np.testing.assert_allclose(down, half, atol=0.06 * body.lengths[knee])
 
 
 def test_a_turned_body_turns_its_skin() -> None:

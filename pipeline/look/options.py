@@ -34,6 +34,8 @@ class Look:
     scene: str | None = None
     """Room to draw around the clip: a scene (an unknown name lists them) or an MJCF
     file (.xml); default: the props stored in the clip."""
+    seams: bool = False
+    """Draw lines along and across the limbs, which show how they twist."""
     shadows: bool = False
     """Draw shadows even without a GPU, which takes at least five times as long."""
 

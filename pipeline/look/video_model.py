@@ -15,7 +15,7 @@ from kinefilter.characters import Body, Prop, Skeleton
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import matrix_from_wxyz
-from kinefilter.characters.skin import skin_of
+from kinefilter.characters.skin import seams_of, skin_of
 
 from .cameras import CameraPath
 from .drawing import Drawing, segment_starts
@@ -24,6 +24,8 @@ from .video_files import Pixels
 _FLOOR_GROUP = 1  # of the geoms (stage.xml) that do not change while the camera stays
 _SKIN = (0.80, 0.76, 0.70)  # nearly gray, so that a figure inside keeps its colors
 _TRANSLUCENT = 0.35  # opacity of the skin with a figure inside
+_SEAMS, _SEAM = 256, (4, 7)  # pixels of the texture, and half the widths of its lines
+_SEAM_COLOR = (110, 60, 40)
 _JOINT, _BONE = 0.032, 0.012  # m, radii of the raw figure
 _BONE_COLOR = (0.25, 0.25, 0.28)
 _LIGHT_AWAY = 4.0  # m, above everything
@@ -34,8 +36,8 @@ _MORE_GEOMS = 100  # that MuJoCo itself may add to those of the model
 class ClipModel:
     """The model of a drawing, posed frame by frame.
 
-    Most light comes from ``toward``, the direction to the camera. ``translucent`` shows
-    the raw take inside the skin.
+    Most light comes from ``toward``, the direction to the camera. ``seams`` are lines
+    on the skin that show twist; ``translucent`` shows the raw take inside it.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class ClipModel:
         size: tuple[int, int],
         samples: int,
         toward: Array,
+        seams: bool = False,
         translucent: bool = False,
     ) -> None:
         stage = Path(__file__).with_name("stage.xml")  # sky, floor and fog
@@ -67,7 +70,9 @@ class ClipModel:
             specular=[0.12] * 3,
             castshadow=True,
         )
-        _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
+        skin = _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
+        if seams:
+            _add_seams(spec, skin, clip.body)
         for prop in clip.props:
             _add_prop(spec, prop)
         self._raw = drawing.figures.get("raw")
@@ -195,7 +200,7 @@ def figure_names(skeleton: Skeleton) -> list[str]:
     return joints + [f"bone:{skeleton.joints[j]}" for j in skeleton.segments]
 
 
-def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
+def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> mujoco.MjsSkin:
     skeleton = body.skeleton
     starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
     for joint, start in zip(skeleton.joints, starts, strict=True):
@@ -213,6 +218,26 @@ def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> None:
     mesh.vertid = [moved[j][0].tolist() for j in bones]
     mesh.vertweight = [skin.weights[moved[j]].tolist() for j in bones]
     mesh.rgba = [*_SKIN, opacity]
+    return mesh
+
+
+def _add_seams(spec: mujoco.MjSpec, skin: mujoco.MjsSkin, body: Body) -> None:
+    """Draw lines on a skin: two along each segment, and one around its middle."""
+    pixels = np.full((_SEAMS, _SEAMS, 3), 255, dtype=np.uint8)
+    across, along = (slice(_SEAMS // 2 - w, _SEAMS // 2 + w) for w in _SEAM)
+    pixels[across] = pixels[:, along] = _SEAM_COLOR
+    spec.add_texture(
+        name="seams",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=_SEAMS,
+        height=_SEAMS,
+        nchannel=3,
+        data=pixels.ravel().tolist(),
+    )
+    textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+    textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "seams"
+    spec.add_material(name="seams", textures=textures, rgba=skin.rgba)
+    skin.material, skin.texcoord = "seams", seams_of(body).ravel()
 
 
 def _add_prop(spec: mujoco.MjSpec, prop: Prop) -> None:

@@ -165,6 +165,7 @@ def _opened(task: RenderTask) -> tuple[Composition, OffscreenRenderer]:
             size=look.pixels,
             samples=_GPU_SAMPLES if task.gpu else 0,
             toward=what.camera.toward,
+            seams=look.seams,
             translucent=what.drawing.raw is not None and look.place == "over",
         )
         shadows = look.shadows or task.gpu
