@@ -38,9 +38,6 @@ class Rig:
     axes: Array | None = None
     """World rotation of each node's axes in the rest pose, wxyz, shape (N, 4). None
     stands for the world's axes."""
-    mover: int = 0
-    """Index of the node that moves relative to its parent: the root, or the pelvis of a
-    rig whose root stays on the floor."""
     axes_in_bvh: bool = False  # BVH has the axes in its motion, and so no rest pose
 
     def __len__(self) -> int:
@@ -53,16 +50,6 @@ class Rig:
         for n, parent in enumerate(self.parents[1:], start=1):
             positions[n] = positions[parent] + self.offsets[n]
         return positions
-
-    @cached_property
-    def depth_first(self) -> tuple[int, ...]:
-        """Indices of the nodes, each one before all those below it, by branches."""
-        order, stack = [], [0]
-        while stack:
-            order.append(stack.pop())
-            children = [n for n, p in enumerate(self.parents) if p == order[-1]]
-            stack.extend(reversed(children))
-        return tuple(order)
 
     @cached_property
     def segment_nodes(self) -> Indices:
@@ -168,8 +155,8 @@ class RigMotion:
     rig: Rig
     rotations: Array  # world rotations of the segments from rest, wxyz, (T, S, 4)
     places: Mapping[int, Array]
-    """Local positions [m] (T, 3) of the nodes that move, by index: ``rig.mover``, and
-    the root if it moves over the floor."""
+    """Local positions [m] (T, 3) of the nodes that move in their parent, by index: the
+    root, and the pelvis."""
     positions: Array  # world positions [m] of all distinct joints, shape (T, J, 3)
     turned_by: Mapping[str, int]
     """Index of the sensor's joint at the end of the segment that rotates a node, by the
@@ -194,7 +181,7 @@ def retargeted_motion(
     offsets = rest.positions - rest.positions[np.array(rest.parents)]
     offsets[0] = 0.0
     tree = (rest.names, rest.parents, offsets, np.arange(len(rest)), rest.positions[0])
-    rig = Rig(*tree, rest.axes, mover, rest.axes_in_bvh)
+    rig = Rig(*tree, rest.axes, rest.axes_in_bvh)
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":
         frame = rig_frame(target, motion)
