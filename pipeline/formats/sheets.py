@@ -110,7 +110,6 @@ def take_rows(time: Array, positions: Array, state: Codes) -> str:
 
 @dataclass(frozen=True)
 class _Layout:
-    name: str
     skeleton: Skeleton
     columns: tuple[str, ...]
     normalize: Callable[[str], str]  # see RowReader
@@ -149,7 +148,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
         wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
-    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
+    return _Layout(skeleton, columns, str, 1.0, has_header=True)
 
 
 def _kinect_v1(line: str, source: str) -> _Layout:
@@ -170,7 +169,7 @@ def _kinect_v1(line: str, source: str) -> _Layout:
         return ",".join(",".join(cell.split()) or ",," for cell in cells)
 
     columns = tuple(f"{joint}.{axis}" for joint in joints for axis in _AXES)
-    return _Layout("kinect-v1", KINECT_V1, columns, normalize, 1 / 30, has_header=True)
+    return _Layout(KINECT_V1, columns, normalize, 1 / 30, has_header=True)
 
 
 def _v2_cells(line: str) -> str:
@@ -182,9 +181,9 @@ def _msrc_cells(line: str) -> str:
     return ",".join(line.replace(",", " ").split())
 
 
-_V1_COLUMNS, _V2_COLUMNS = _columns(KINECT_V1), _columns(KINECT_V2)
-_V2 = _Layout("kinect-v2", KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
-_MSRC = _Layout("msrc-12", KINECT_V1, _V1_COLUMNS, _msrc_cells, 1e-6, weighted=True)
+_V2_COLUMNS = _columns(KINECT_V2)
+_V2 = _Layout(KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
+_MSRC = _Layout(KINECT_V1, _columns(KINECT_V1), _msrc_cells, 1e-6, weighted=True)
 
 
 def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
@@ -215,7 +214,7 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
         # Not states but the w of homogeneous points, 1 for every joint present.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
     takes, others = takes_of_rows(time, positions, state, layout.skeleton, source)
-    return Recording(takes, layout.name, notes=(*notes, *others))
+    return Recording(takes, notes=(*notes, *others))
 
 
 def _without_torn_end(
