@@ -70,7 +70,7 @@ class Skin:
     @property
     def triangles(self) -> Indices:
         """The faces as triangles, shape (2 Q, 3)."""
-        return _triangles(self.quads)
+        return np.concatenate([self.quads[:, [0, 1, 2]], self.quads[:, [0, 2, 3]]])
 
 
 @lru_cache(maxsize=4)
@@ -103,10 +103,6 @@ def seams_of(body: Body) -> Array:
         around = unit(away - share[:, None] * bone) @ ahead
         seams[own] = np.column_stack([0.5 + 0.5 * around, np.clip(share, 0.0, 1.0)])
     return seams
-
-
-def _triangles(quads: Indices) -> Indices:
-    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def _normals(points: Array, quads: Indices) -> Array:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from skeletons import every_skeleton
+from usd_positions import read_usd_positions
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
@@ -30,7 +31,6 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.glb import _keys
 from kinefilter.pipeline.formats.rig import retargeted_motion
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.retarget.retargeting import retarget
