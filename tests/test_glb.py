@@ -263,7 +263,7 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     hips = np.reshape(found["bones"]["hips"], (-1, 3))
     np.testing.assert_allclose(hips, moved.places[0], atol=1e-5)
     np.testing.assert_allclose(
-        found["bones"]["rest"], moved.rig.rest_positions[0], atol=1e-5
+        found["bones"]["rest"], moved.rig.positions[0], atol=1e-5
     )
 
 

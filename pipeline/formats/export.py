@@ -72,7 +72,6 @@ _RATE_TOLERANCE = 0.005  # relative; time stamps jitter
 _END = 1e-6  # of a frame: tolerance, so that rounding does not lose the last frame
 _LONGEST_HELD = 600.0  # s of standing still in all; longer is hardly meant. A guess
 _INTERPOLATED = ("root", "reliability", *LENGTHS, "external_force")
-_NEAREST = ("state", "deciding_term", "contacts")
 
 
 @dataclass(frozen=True)
@@ -287,15 +286,16 @@ def resampled(clip: Clip, fps: float) -> Clip:
         places, turns = line(prop.positions), arc(prop.rotations)
         return replace(prop, positions=places, rotations=turns)
 
-    nearest = np.where(share < 0.5, before, after)
-    origin = np.where(held[:, None], np.uint8(Origin.FILLED), clip.origin[nearest])
-    resampled_fields: dict[str, Any] = {
-        **{name: line(getattr(clip, name)) for name in _INTERPOLATED},
-        **{name: getattr(clip, name)[nearest] for name in _NEAREST},
-        "rotations": arc(clip.rotations),
-        "props": tuple(moved(p) if p.moves else p for p in clip.props),
-    }
-    return replace(clip, time=time, origin=origin, **resampled_fields)
+    nearest = clip.at(np.where(share < 0.5, before, after))
+    lines: dict[str, Any] = {name: line(getattr(clip, name)) for name in _INTERPOLATED}
+    return replace(
+        nearest,
+        time=time,
+        rotations=arc(clip.rotations),
+        origin=np.where(held[:, None], np.uint8(Origin.FILLED), nearest.origin),
+        props=tuple(moved(p) if p.moves else p for p in clip.props),
+        **lines,
+    )
 
 
 def in_strict_t(clip: Clip) -> Clip:

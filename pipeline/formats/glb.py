@@ -272,7 +272,7 @@ def _inverse_binds(rig: Rig) -> NDArray[Any]:
     binds = np.tile(np.eye(4), (len(rig), 1, 1))
     if rig.axes is not None:
         binds[:, :3, :3] = matrix_from_wxyz(rig.axes)
-    binds[:, :3, 3] = rig.rest_positions
+    binds[:, :3, 3] = rig.positions
     inverse = np.linalg.inv(binds)
     inverse[:, 3] = (0.0, 0.0, 0.0, 1.0)
     return np.swapaxes(inverse, 1, 2).reshape(len(rig), 16).astype("<f4")
