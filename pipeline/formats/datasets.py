@@ -61,7 +61,6 @@ def read_msr_action3d(source: str) -> Recording:
             f"{source}: has {len(rows)} rows, expected {joints} per frame; the file "
             "may be cut off, download it again"
         )
-    check_length(len(rows) // joints, source)
     values = rows.reshape(-1, joints, len(_MSR_COLUMNS))
     width = float(np.nanmedian(np.ptp(values[..., :2], axis=1), axis=0).max())
     if width > _PIXELS:

@@ -30,6 +30,7 @@ _FIRST = ("time", "positions", "rotations")
 _ONCE = ("tilt", "floor", "roll")  # numbers of the whole clip; a roll of 0 is left out
 _OTHERS = (*_FIRST, *_ONCE, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
+_PROP = ("name", "positions", "rotations")
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
@@ -161,9 +162,8 @@ def clip_of_arrays(archive: dict[str, Any]) -> Clip:
 def _props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
-        arrays[f"prop:{k}:name"] = np.array(prop.name)
-        arrays[f"prop:{k}:positions"] = prop.positions
-        arrays[f"prop:{k}:rotations"] = prop.rotations
+        for name in _PROP:
+            arrays[f"prop:{k}:{name}"] = np.asarray(getattr(prop, name))
         arrays[f"prop:{k}:kinds"] = np.array([shape.kind for shape in prop.shapes])
         for n, shape in enumerate(prop.shapes):
             for name in _SHAPE:
@@ -179,6 +179,5 @@ def _props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
             for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
         ]
-        name = str(archive[f"prop:{k}:name"])
-        places, turns = archive[f"prop:{k}:positions"], archive[f"prop:{k}:rotations"]
-        yield Prop(name, tuple(shapes), places, turns)
+        name, places, turns = (archive[f"prop:{k}:{part}"] for part in _PROP)
+        yield Prop(str(name), tuple(shapes), places, turns)

@@ -238,20 +238,17 @@ def _frames(
     block: Block, layout: _Layout, reader: RowReader
 ) -> tuple[Indices, Array, Array, Codes]:
     """Return row numbers, times, positions [m] (R, J, 3) and states (R, J)."""
-    skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}
-    positions = np.full((len(values), len(skeleton), 3), np.nan)
-    state = np.zeros((len(values), len(skeleton)), dtype=np.uint8)
-    for j, joint in enumerate(skeleton.joints):
-        if f"{joint}.x" in index:
-            positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
-            state[:, j] = State.TRACKED
-        if (column := index.get(f"{joint}.state")) is not None:
-            # An empty state does not make the joint missing.
-            given = np.nan_to_num(values[:, column], nan=State.TRACKED)
-            unknown = ~np.isin(given, list(State))
-            reader.refuse(block, column, unknown, f"is {{:g}}, expected {STATES}")
-            state[:, j] = given
+    # A last column stands for those that the file does not have.
+    values = np.pad(block.values, ((0, 0), (0, 1)), constant_values=np.nan)
+    columns = [index.get(column, -1) for column in _columns(layout.skeleton)[1:]]
+    joints = values[:, columns].reshape(len(values), len(layout.skeleton), -1)
+    # An empty state does not make the joint missing.
+    state = np.nan_to_num(joints[..., 3], nan=State.TRACKED)
+    unknown = ~np.isin(state, list(State))
+    for j in np.flatnonzero(unknown.any(axis=0)).tolist():
+        complaint = f"is {{:g}}, expected {STATES}"
+        reader.refuse(block, columns[4 * j + 3], unknown[:, j], complaint)
     time = np.zeros(len(values))
     if (column := index.get("time")) is not None:
         time = values[:, column]
@@ -259,7 +256,7 @@ def _frames(
         reader.refuse(block, column, np.isnan(time), empty)
         late = "is {:.3g}, expected a time; correct or delete the row"
         reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    return block.rows, time, *mark_missing(positions, state)
+    return block.rows, time, *mark_missing(joints[..., :3], state.astype(np.uint8))
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:
