@@ -1,21 +1,8 @@
 """Takes from the 3D landmarks that trackers of camera images find.
 
-Layouts, as the tools document them:
-
-- ``npy``: an array (frames, landmarks, 3), or 4 with the landmark's visibility, 0 to 1.
-  MediaPipe's 33 landmarks of a pose, alone, with both hands (75), or as FreeMoCap
-  writes them, followed by hands and face (543 or 553); COCO's whole body (133);
-  HALPE_26; OpenPose's BODY_25 with hands and face (137).
-- ``freemocap``: CSV with a column for each coordinate of a landmark, such as
-  ``body_left_hip_x``, and optionally a ``timestamp``.
-- ``openpose``: ``--write_json`` with ``--3d``: one file per frame, of which any stands
-  for all those beside it, or a list of their contents in one file. Each has ``people``
-  with ``pose_keypoints_3d``: x, y, z and confidence of BODY_25's landmarks.
-- ``mmpose``: predictions of MMPose's 3D lifters, including RTMPose's: a list of frames
-  with ``instances``, each with ``keypoints`` and ``keypoint_scores``, by itself or as
-  ``instance_info`` beside ``meta_info``.
-
-Files without time stamps are read at 30 frames a second (``recording.at_rate``).
+These are arrays (npy), FreeMoCap's CSV, and the JSON of OpenPose (``--write_json`` with
+``--3d``) and of MMPose's 3D lifters; CONVENTIONS.md describes their layouts. Files
+without time stamps are read at 30 frames a second (``recording.at_rate``).
 """
 
 from __future__ import annotations

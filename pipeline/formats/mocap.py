@@ -198,11 +198,10 @@ def kinect_motion(
     InputError if the joints are of no known rig, or in no frame.
     """
     names = mocap.bare_names
-    column = dict[str, int]()
-    for k, name in enumerate(names):
-        column.setdefault(name, k)
-    for k, name in enumerate(names if mocap.rotations is None else ()):
-        column.setdefault(plain_name(name), k)
+    backward = [*enumerate(names)][::-1]  # of equal names, the first one counts
+    column = {name: k for k, name in backward}
+    if mocap.rotations is None:
+        column = {plain_name(name): k for k, name in backward} | column
     rig, missing = matching_source_rig(column, skeleton, known)
     if missing and len(missing) == len(rig.needed):
         titles = "; ".join(load_source_rig(name, skeleton).title for name in known)
