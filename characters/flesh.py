@@ -192,9 +192,8 @@ def _add_head(clay: _Sculptor) -> None:
     skeleton, at = clay.body.skeleton, clay.at
     head, girdle, height = skeleton.index("Head"), skeleton.girdle, clay.body.height
     neck = skeleton.index("Neck") if "Neck" in skeleton.joints else head
-    clay.add(
-        neck, at(girdle, z=-0.004), at(head, y=-0.03, z=-0.006), (0.032 * height,) * 2
-    )
+    throat = at(girdle, z=-0.004), at(head, y=-0.03, z=-0.006)
+    clay.add(neck, *throat, (0.032 * height,) * 2)
     skull = at(head, y=0.004, z=-0.006)
     clay.add(head, skull, skull, (0.052 * height,) * 2, (0.84, 1.0, 1.04))
     jaw = at(head, y=-0.018, z=0.008), at(head, y=-0.045, z=0.028)
@@ -218,13 +217,8 @@ def _add_arm(clay: _Sculptor, side: int, sign: float) -> None:
     clay.add(wrist, thick, at(wrist), (1.14 * lower, 0.74 * lower))
     # Palms face down, thumbs ahead.
     palm, flat = 0.022 * height, (1.0, 0.42, 1.0)
-    clay.add(
-        hand,
-        at(wrist, x=0.016 * sign),
-        at(wrist, x=0.042 * sign),
-        (0.9 * palm, palm),
-        flat,
-    )
+    back = at(wrist, x=0.016 * sign), at(wrist, x=0.042 * sign)
+    clay.add(hand, *back, (0.9 * palm, palm), flat)
     names = skeleton.joints
     tip = skeleton.sides("HandTip")[side] if "HandTipLeft" in names else hand
     fingers = at(wrist, x=0.05 * sign), at(wrist, x=0.09 * sign)

@@ -31,18 +31,13 @@ _SHARING = 0.6  # of the radius: depth over which two segments share points. A g
 _AVERAGINGS = 6  # spread the change of weights over some cells, also between the legs
 _LEAST = 0.02  # smaller weights become 0
 
-# Corners of a cell, and its edges along x, y and z as pairs of corners.
+# Corners of a cell, its edges along x, y and z as pairs of corners, and its faces.
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 _EDGES = np.array(
     [(a, a + step) for a in range(8) for step in (1, 2, 4) if not a & step]
 )
-_FACES = np.array(
-    [
-        [k for k in range(8) if bool(k & axis) == far]
-        for axis in (1, 2, 4)
-        for far in (0, 1)
-    ]
-)
+_CUBE = np.arange(8).reshape(2, 2, 2)
+_FACES = np.array([_CUBE.take(k, axis).ravel() for axis in (2, 1, 0) for k in (0, 1)])
 _JUST_INSIDE = 1e-6  # m
 
 
@@ -70,7 +65,7 @@ class Skin:
     @property
     def triangles(self) -> Indices:
         """The faces as triangles, shape (2 Q, 3)."""
-        return _triangles(self.quads)
+        return np.concatenate([self.quads[:, [0, 1, 2]], self.quads[:, [0, 2, 3]]])
 
 
 @lru_cache(maxsize=4)
@@ -103,10 +98,6 @@ def seams_of(body: Body) -> Array:
         around = unit(away - share[:, None] * bone) @ ahead
         seams[own] = np.column_stack([0.5 + 0.5 * around, np.clip(share, 0.0, 1.0)])
     return seams
-
-
-def _triangles(quads: Indices) -> Indices:
-    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
 def _normals(points: Array, quads: Indices) -> Array:

@@ -9,6 +9,7 @@ count as upright and flat there, and only headings differ.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +30,7 @@ from .bent_limb import bent_limb, rejection
 from .heading_frame import HeadingFrame, floor_frame
 from .rig_map import BEYOND, SIDES
 from .stance import holding_moves, near_stance, smooth_step
-from .target_rig import TargetRig
-from .twists import twisted
+from .target_rig import TargetRig, Twist
 
 _SEGMENTS = {
     "clavicle": "Shoulder",
@@ -256,6 +256,31 @@ class _Motion:
         bent += np.maximum(np.sum(beside * hinge, axis=1), 0.0)
         straight = smooth_step(2.0 - bent / least)
         return np.asarray(beside + least * straight[:, None] * hinge)
+
+
+def angle_about(axis: Array, rotations: Array) -> Array:
+    """Return the twist [rad] of rotations, wxyz (..., 4), about a unit vector (3,).
+
+    It lies between -pi and pi; the rest of the rotation is about a perpendicular axis.
+    """
+    half = np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0])
+    return np.asarray((2.0 * half + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def twisted(
+    twists: Mapping[int, Twist], turns: Mapping[int, Array]
+) -> dict[int, Array]:
+    """Return the rotation of each twist bone, given those of the other joints.
+
+    Both are world rotations from the rest pose, wxyz, (T, 4), by index of the joint.
+    """
+    found = {}
+    for bone, (limb, joint, above, axis, share) in twists.items():
+        angle = angle_about(axis, multiply(inverse(turns[above]), turns[joint]))
+        half = 0.5 * share * angle[:, None]
+        turn = np.concatenate([np.cos(half), np.sin(half) * axis], axis=1)
+        found[bone] = multiply(turns[limb], turn)
+    return found
 
 
 def segment_of(skeleton: Skeleton, part: str) -> int:

@@ -20,9 +20,9 @@ at: Its position on that segment, 0 at the start and 1 at the end, and its share
 follows: Makes it an IK bone, which has only this field and ``parent``: the bone that it
     is always in the place of, turned the same way.
 
-Maps in ``source_rigs`` describe skeletons from which motion is read. Joints of the
-trunk are named as in Kinect v2. Limbs have only a left side: names on the right begin
-with Right, R or r in place of Left, L or l.
+Maps in ``source_rigs`` describe skeletons from which motion is read; ``title`` says
+what their names are. Joints of the trunk are named as in Kinect v2. Limbs have only a
+left side: names on the right begin with Right, R or r in place of Left, L or l.
 
 at: The Kinect joint is at the mean of these joints (or landmarks).
 or: Where it is if those are missing, the best choice first.
@@ -35,7 +35,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Collection, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -294,6 +294,8 @@ class SourceRig:
     """A skeleton from which motion is read, by Kinect joint."""
 
     name: str
+    title: str
+    """What the names are, for messages."""
     joints: dict[str, SourceJoint]
 
     @property
@@ -313,7 +315,7 @@ class SourceRig:
                 present[joint] = SourceJoint(matches[0], row.turned_by)
             elif not row.optional:
                 missing |= by.union(row.at) - names
-        return SourceRig(self.name, present), missing
+        return replace(self, joints=present), missing
 
 
 @cache
@@ -327,7 +329,7 @@ def load_source_rig(name: str, skeleton: Skeleton) -> SourceRig:
         known = joint if joint in skeleton.joints else _KINECT_V1.get(joint)
         if known:
             joints[known] = _source_joint(row)
-    return SourceRig(name, joints)
+    return SourceRig(name, tables["title"], joints)
 
 
 def _source_joint(row: dict[str, Any], *, right: bool = False) -> SourceJoint:
@@ -350,7 +352,8 @@ def matching_source_rig(
     """
     fine = ("HandTip", "Thumb")
     own = [joint for joint in skeleton.joints if not joint.startswith(fine)]
-    kinect = SourceRig(skeleton.name, {j: SourceJoint((j,)) for j in own})
+    title = f"the joint names of {skeleton.name}"
+    kinect = SourceRig(skeleton.name, title, {j: SourceJoint((j,)) for j in own})
     rigs = [kinect, *(load_source_rig(name, skeleton) for name in known)]
     found = [rig.among(set(names)) for rig in rigs]
     shares = [len(f[1]) / len(rig.needed) for f, rig in zip(found, rigs, strict=True)]

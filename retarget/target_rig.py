@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from .rig_map import (
     RigMap,
     listed,
 )
-from .twists import Twist
 
 _ON_FLOOR = 0.1
 """Largest height of the lowest joint above y = 0, in lengths of a leg, at which y = 0
@@ -53,6 +53,26 @@ class RestPose:
 
     def __len__(self) -> int:
         return len(self.names)
+
+
+class Twist(NamedTuple):
+    """What turns a twist bone, which spreads a limb's twist evenly along a segment.
+
+    The skin of an upper arm must not twist at the shoulder, but only toward the elbow,
+    and that of a forearm must twist with the hand at the wrist. So a twist bone turns
+    about its segment by a share of the twist.
+    """
+
+    limb: int
+    """Index of the joint whose segment it is on."""
+    joint: int
+    """Index of the joint whose twist about that segment it shares."""
+    above: int
+    """Index of the turned joint against which that joint twists."""
+    axis: Array
+    """Direction of the segment in the rest pose, unit length, (3,)."""
+    share: float
+    """Share of the twist by which it is turned against the segment."""
 
 
 @dataclass(frozen=True, eq=False)

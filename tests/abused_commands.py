@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from hostile_files import READERS, damaged, write_valid
 from mutations import gently_mutated
+from usd_positions import read_usd_positions
 
 from kinefilter import clean, read_take, write_clip
 from kinefilter.characters import KINECT_V2, InputError, Take, standard_body
@@ -29,7 +30,6 @@ from kinefilter.pipeline.formats import (
     write_take_csv,
 )
 from kinefilter.pipeline.formats.sheets import contact_table
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from real_data import PAIRS, TAKES, paired, recorded
 from skeletons import every_skeleton
+from usd_positions import read_usd_positions
 
 from kinefilter import CleanConfig, Cleaner, CleanResult, clean, read_take
 from kinefilter.characters import (
@@ -26,7 +27,6 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.correct.hold import Hold
 from kinefilter.pipeline.formats import read_bvh, write_clip
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import observe, sample_take

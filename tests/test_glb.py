@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from skeletons import every_skeleton
+from usd_positions import read_usd_positions
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V2, Clip, InputError, Skeleton
@@ -30,7 +31,6 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.glb import _keys
 from kinefilter.pipeline.formats.rig import retargeted_motion
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.retarget.retargeting import retarget
@@ -263,7 +263,7 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     hips = np.reshape(found["bones"]["hips"], (-1, 3))
     np.testing.assert_allclose(hips, moved.places[0], atol=1e-5)
     np.testing.assert_allclose(
-        found["bones"]["rest"], moved.rig.rest_positions[0], atol=1e-5
+        found["bones"]["rest"], moved.rig.positions[0], atol=1e-5
     )
 
 

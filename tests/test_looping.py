@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from real_data import TAKES, recorded
 from rig_motions import performed
+from usd_positions import read_usd_positions
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, Clip, InputError
@@ -18,7 +19,6 @@ from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.retarget.looping import _shortage, looped, repeated
 
 Array = NDArray[np.float64]

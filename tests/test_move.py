@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 from rig_motions import performed
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.rotations import (
@@ -23,9 +24,8 @@ from kinefilter.characters.rotations import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_bvh, read_clip, write_clip
+from kinefilter.pipeline.formats.export import shaped, with_root_motion
 from kinefilter.pipeline.formats.rig import RootMotion
-from kinefilter.pipeline.formats.shaping import shaped, with_root_motion
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.retarget.heading_frame import floor_frame
 
 Array = NDArray[np.float64]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdSkel
 from rig_motions import performed
 from rig_targets import in_usd, up_axis, write_target
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import Clip
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.formats import Export, read_bvh, write_clip
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import load_rig_map
 from kinefilter.retarget.target_rig import built_rig

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdSkel, UsdValidation
 from rig_motions import performed
 from rig_targets import in_usd, up_axis, write_target
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import KINECT_V1, Clip, InputError, Prop
 from kinefilter.characters.rotations import (
@@ -30,7 +31,7 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.pipeline.formats.usd_character import check_character
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions, rest_arrays
+from kinefilter.pipeline.formats.usd_reader import rest_arrays
 from kinefilter.retarget import rig_map as rig_map_module
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map

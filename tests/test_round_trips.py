@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -34,7 +35,6 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
 from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 from kinefilter.scenes.library import random_body
 
 Array = NDArray[np.float64]

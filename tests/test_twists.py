@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from kinefilter.characters import KINECT_V2, Clip
 from kinefilter.characters.rotations import multiply
 from kinefilter.pipeline.formats.clips import target_rig
-from kinefilter.retarget.retargeting import retarget
+from kinefilter.retarget.retargeting import angle_about, retarget, twisted
 from kinefilter.retarget.rig_map import load_rig_map
-from kinefilter.retarget.target_rig import TargetRig, built_rig
-from kinefilter.retarget.twists import Twist, angle_about, twisted
+from kinefilter.retarget.target_rig import TargetRig, Twist, built_rig
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdValidation
 from skeletons import every_skeleton
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -24,8 +25,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
-from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
+from kinefilter.pipeline.formats import Export, read_clip, write_clip
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]
@@ -339,13 +339,13 @@ def test_positions_are_read_in_world_meters(
 
 def test_files_without_an_animated_skeleton_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        read_usd_positions(tmp_path / "none.usda")
+        read_clip(tmp_path / "none.usda")
     (tmp_path / "text.usda").write_text("text")
     with pytest.raises(InputError, match="cannot be read as USD"):
-        read_usd_positions(tmp_path / "text.usda")
+        read_clip(tmp_path / "text.usda")
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
     with pytest.raises(InputError, match="no animated skeleton"):
-        read_usd_positions(tmp_path / "empty.usda")
+        read_clip(tmp_path / "empty.usda")
 
 
 def test_a_package_for_which_there_is_no_room_is_refused_and_not_left(

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from mutations import mutated
 from pxr import Usd, UsdGeom
+from usd_positions import read_usd_positions
 
 from kinefilter.characters import KINECT_V2, Clip, InputError
 from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.formats.usd_reader import read_usd_positions
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]

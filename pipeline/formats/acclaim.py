@@ -164,34 +164,28 @@ def _amc_values(source: str, skeleton: Acclaim) -> dict[str, Array]:
     moving = {n: len(b.freedoms) for n, b in skeleton.bones.items() if b.freedoms}
     if _ROOT not in moving:
         raise InputError(f"{skeleton.source}: the root has no order, such as TX TY TZ")
-    rows: dict[str, list[Array]] = {name: [] for name in moving}
-    frames, most = 0, MOST_CELLS // len(skeleton.bones)
-
-    def end_frame(where: str) -> None:
-        for name, values in rows.items():
-            if len(values) != frames:
-                raise InputError(
-                    f"{source}: {where} ends frame {frames} without bone {name!r}; the "
-                    "file may be cut off, copy it again"
-                )
-
+    frames, most = list[dict[str, Array]](), MOST_CELLS // len(skeleton.bones)
     with open_text(source) as lines:
         reader = LineReader(source, lines)
         for name, *words in reader.filled("#:"):
             if not words and name.isdigit():
-                end_frame(f"line {reader.row}")
-                frames += 1
-                if frames > most:
-                    reader.fail(f"is frame {frames}, too many; split the file")
+                if frames and len(frames[-1]) < len(moving):
+                    break  # refused below
+                frames.append({})
+                if len(frames) > most:
+                    reader.fail(f"is frame {len(frames)}, too many; split the file")
                 continue
             if name not in moving:
                 name = name[:40]
                 reader.fail(f"names {name!r}, not in the ASF; give this subject's ASF")
-            values = reader.numbers(words, moving[name], f"bone {name!r} as ")
-            if len(rows[name]) != frames - 1:
+            if not frames or name in frames[-1]:
                 reader.fail(f"has {name!r} twice in a frame, or before the first")
-            rows[name].append(values)
-    end_frame("the file")
+            frames[-1][name] = reader.numbers(words, moving[name], f"bone {name!r} as ")
     if not frames:
         raise InputError(f"{source}: has no frames; give an AMC file")
-    return {name: np.array(values) for name, values in rows.items()}
+    if missing := sorted(moving.keys() - frames[-1]):
+        raise InputError(
+            f"{source}: ends frame {len(frames)} without bone {missing[0]!r}; the file "
+            "may be cut off, copy it again"
+        )
+    return {name: np.array([frame[name] for frame in frames]) for name in moving}

@@ -6,10 +6,11 @@ Any skeleton and channel order can be read.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +33,7 @@ from .rows import LARGEST_NUMBER, LineReader, RowReader
 
 MOST_CELLS = 20_000_000
 """Limit of joints times frames: an hour of 75 joints at 60 frames/s."""
-_LOCKED = 1e-7
-"""Cosine of the middle angle below which there is gimbal lock: about sqrt(eps)."""
+_LOCKED = 1e-7  # cosine of the middle angle below which scipy sees gimbal lock
 _END_SHARE = 0.3  # offset of an end site as a share of its bone, enough to be visible
 _MOST_JOINTS = 1000
 _MOST_CHANNELS = 6
@@ -250,57 +250,52 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     BVH specifies neither axes nor a unit; ``export`` chooses them. Angles [deg] are
     continuous over time: they go beyond 360 rather than jump. Each frame of the clip is
     one frame of the file, at the mean frame time, so a clip must not have long gaps
-    (``paced``). Raises InputError if the file cannot be written.
+    (``with_frame_rate``). Raises InputError if the file cannot be written.
     """
-    rig = moved.rig
+    rig, order = moved.rig, export.rotation_order.upper()
     if not rig.axes_in_bvh:  # BVH has no rotations at rest
         rig = replace(rig, axes=None)
-    order, columns = export.rotation_order.upper(), []
-    # Node by node: unwrapping angles needs all frames, which for all nodes at once
-    # would be gigabytes.
-    for n in rig.depth_first:
-        if n in moved.places:
-            place = moved.places[n]
-            if moved.rig.axes is not None and rig.axes is None and n > 0:
-                place = rotate(moved.rig.axes[rig.parents[n]], place)
-            columns.append(export.points(place))
-        local = export.axes(rig.local_rotation(moved.rotations, n))
-        columns.append(np.degrees(continuous_euler(local, order)))
-    motion = np.concatenate(columns, axis=1)
-    row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     offsets = export.points(rig.at_rest[0])
     offsets[list(moved.places)] = 0.0  # readers add the channels to it or replace it
-    channels = [f"{axis}rotation" for axis in order]
+    hierarchy, columns = ["HIERARCHY\n"], list[Array]()
+
+    def add(node: int, depth: int) -> None:
+        """Add a node with its columns, and all nodes below it."""
+        pad, channels = "\t" * depth, [f"{axis}rotation" for axis in order]
+        if node in moved.places:
+            channels = ["Xposition", "Yposition", "Zposition", *channels]
+            place = moved.places[node]
+            if moved.rig.axes is not None and rig.axes is None and node > 0:
+                place = rotate(moved.rig.axes[rig.parents[node]], place)
+            columns.append(export.points(place))
+        # Unwrapping angles needs all frames, which for all nodes would be gigabytes.
+        local = export.axes(rig.local_rotation(moved.rotations, node))
+        columns.append(np.degrees(continuous_euler(local, order)))
+        hierarchy.append(
+            f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}\n{pad}{{\n"
+            f"{pad}\t{_offset(offsets[node])}"
+            f"{pad}\tCHANNELS {len(channels)} {' '.join(channels)}\n"
+        )
+        for child, parent in enumerate(rig.parents):
+            if parent == node:
+                add(child, depth + 1)
+        if node not in rig.parents:
+            end = _offset(_END_SHARE * offsets[node])
+            hierarchy.append(f"{pad}\tEnd Site\n{pad}\t{{\n{pad}\t\t{end}{pad}\t}}\n")
+        hierarchy.append(f"{pad}}}\n")
+
+    add(0, 0)
+    motion = np.concatenate(columns, axis=1)
+    row = " ".join(["%.6f"] * motion.shape[1]) + "\n"
     duration = float(clip.time[-1] - clip.time[0])
     mean = duration / (len(clip) - 1) if duration > 0 else 1.0 / clip.fps
     frame_time = 1.0 / export.fps if export.fps else mean
     with new_text(path) as file:
-        file.write("HIERARCHY\n")
-        file.writelines(_hierarchy(moved, offsets, channels, 0, 0))
+        file.writelines(hierarchy)
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
         for span in chunks(len(motion), FRAMES_AT_ONCE):
             numbers = motion[span]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
-
-
-def _hierarchy(
-    moved: RigMotion, offsets: Array, angles: list[str], node: int, depth: int
-) -> Iterator[str]:
-    rig = moved.rig
-    pad, inner = "\t" * depth, "\t" * (depth + 1)
-    channels = angles
-    if node in moved.places:
-        channels = ["Xposition", "Yposition", "Zposition", *angles]
-    yield f"{pad}{'JOINT' if depth else 'ROOT'} {rig.names[node]}\n{pad}{{\n"
-    yield f"{inner}{_offset(offsets[node])}"
-    yield f"{inner}CHANNELS {len(channels)} {' '.join(channels)}\n"
-    for child, parent in enumerate(rig.parents):
-        if parent == node:
-            yield from _hierarchy(moved, offsets, angles, child, depth + 1)
-    if node not in rig.parents:
-        end = _offset(_END_SHARE * offsets[node])
-        yield f"{inner}End Site\n{inner}{{\n{inner}\t{end}{inner}}}\n"
-    yield f"{pad}}}\n"
 
 
 def _offset(vector: Array) -> str:
@@ -312,14 +307,22 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
     """Convert rotations, wxyz (T, 4), to intrinsic Euler angles [rad], shape (T, 3).
 
     Two triples, and all their full turns, give the same rotation; each frame gets the
-    one nearest to the frame before, so the angles are unbounded. ``axes`` is the order
-    of the axes, such as ``ZYX``.
+    one nearest to the frame before, so the angles are unbounded. In gimbal lock, the
+    third angle keeps its last value, initially 0. ``axes`` is the order of the axes,
+    such as ``ZYX``.
     """
-    # Rename the axes to z, y, x: in half of the orders this is a mirror image, where
-    # every rotation goes the other way.
-    sign = 1.0 if axes in "ZYXZYX" else -1.0
-    order = [0, *(1 + "XYZ".index(axis) for axis in reversed(axes))]
-    angles = _zyx(rotations[:, order] * [1.0, sign, sign, sign])
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    turned: Any = Rotation.from_quat(rotations, scalar_first=True)
+    with warnings.catch_warnings(action="ignore"):  # about gimbal lock
+        angles = turned.as_euler(axes)
+    locked = np.cos(angles[:, 1]) < _LOCKED
+    last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(locked))))
+    third = np.where(last < 0, 0.0, angles[last, 2])
+    # In lock, the third axis is the first, forward or backward, and scipy gives it 0.
+    same = np.sign(angles[:, 1]) if axes in "ZYXZYX" else -np.sign(angles[:, 1])
+    angles[:, 0] += np.where(locked, same * third, 0.0)
+    angles[:, 2] = third
     other = angles * [1.0, -1.0, 1.0] + np.pi
     # Switching triples costs the same whichever one the frame before has, so the
     # choice is the parity of the switches so far.
@@ -327,26 +330,4 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
     wrapped = (turns + np.pi) % (2.0 * np.pi) - np.pi
     stay, switch = np.sum(wrapped**2, axis=-1)
     switched = np.concatenate([[False], np.cumsum(switch < stay) % 2 == 1])
-    chosen = np.where(switched[:, None], other, angles)
-    return sign * np.unwrap(chosen, axis=0)
-
-
-def _zyx(rotations: Array) -> Array:
-    """Return the angles about z, y, x with the second in [-pi/2, pi/2], (T, 3)."""
-    w, x, y, z = np.moveaxis(np.asarray(rotations, dtype=np.float64), -1, 0)
-    m00, m10 = w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z)
-    m01, m11 = 2.0 * (x * y - w * z), w * w - x * x + y * y - z * z
-    m20 = 2.0 * (x * z - w * y)
-    m21, m22 = 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
-    cosine = np.hypot(m00, m10)
-    locked = cosine < _LOCKED
-    # In gimbal lock, x keeps its last value, initially 0.
-    last = np.maximum.accumulate(np.where(locked, -1, np.arange(len(locked))))
-    turn_x = np.where(last < 0, 0.0, np.arctan2(m21, m22)[last])
-    # With y at a quarter turn, z and x turn about the same line: x is held, z takes the
-    # rest. m01 and m11 are then -sin and cos of z minus or plus x.
-    sign = np.where(m20 < 0.0, 1.0, -1.0)
-    turn_z = np.where(
-        locked, np.arctan2(-m01, m11) + sign * turn_x, np.arctan2(m10, m00)
-    )
-    return np.stack([turn_z, np.arctan2(-m20, cosine), turn_x], axis=-1)
+    return np.unwrap(np.where(switched[:, None], other, angles), axis=0)

@@ -31,16 +31,15 @@ from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
-from .export import USD_SUFFIXES, Export, with_frame_rate, with_y_up
+from .export import USD_SUFFIXES, Export, shaped, with_frame_rate, with_y_up
 from .fbx import blender_command, write_fbx
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
 from .glb_reader import read_glb
 from .guarded import read_usd
 from .learning import write_joints
-from .npz import clip_of_arrays, read_npz, write_npz
+from .npz import clip_as_arrays, clip_of_arrays, read_npz, write_arrays
 from .rig import RigMotion, motion_of_rig, own_motion, own_skeleton, retargeted_motion
-from .shaping import shaped
 from .sheets import write_take_csv
 from .takes import read_take
 
@@ -94,7 +93,7 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
     if suffix == ".csv":
         write_take_csv(clip, path)
     elif suffix == ".npz" and export.rig is None:
-        write_npz(clip, path)
+        write_arrays(path, clip_as_arrays(clip))
     elif suffix in (".glb", ".vrma"):
         write_glb([(clip, _rig_motion(clip, export))], path, export)
     elif suffix in USD_SUFFIXES:

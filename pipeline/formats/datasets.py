@@ -61,7 +61,6 @@ def read_msr_action3d(source: str) -> Recording:
             f"{source}: has {len(rows)} rows, expected {joints} per frame; the file "
             "may be cut off, download it again"
         )
-    check_length(len(rows) // joints, source)
     values = rows.reshape(-1, joints, len(_MSR_COLUMNS))
     width = float(np.nanmedian(np.ptp(values[..., :2], axis=1), axis=0).max())
     if width > _PIXELS:
@@ -75,7 +74,7 @@ def read_msr_action3d(source: str) -> Recording:
     time = np.arange(len(values)) / _MSR_FPS
     places, states = values[..., :3], halves.astype(np.uint8)
     takes, notes = takes_of_rows(time, places, states, KINECT_V1, source)
-    return Recording(takes, "msr-action3d", notes=notes)
+    return Recording(takes, notes=notes)
 
 
 def read_ntu(source: str) -> Recording:
@@ -93,7 +92,7 @@ def read_ntu(source: str) -> Recording:
             reader.fail(f"comes after the last of {count} frames; correct row 1")
     time = np.arange(count) / _NTU_FPS
     takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
-    return Recording(takes, "ntu", notes=notes)
+    return Recording(takes, notes=notes)
 
 
 @dataclass

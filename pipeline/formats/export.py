@@ -1,9 +1,7 @@
-"""Settings for writing clips, and what the readers and writers of clips share."""
+"""Settings for writing clips, what they do to a clip, and what all formats share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from math import inf
 from pathlib import Path
@@ -26,6 +24,8 @@ from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
 from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
+from kinefilter.retarget.heading_frame import HeadingFrame, floor_frame
+from kinefilter.retarget.looping import looped
 
 from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 from .rig import RootMotion
@@ -70,11 +70,8 @@ _RANGES = {"fps": (1.0, 1000.0, "frames/s"), "keys": (0.01, 100.0, "mm")}
 """Lowest and highest value of a number, and its unit; others are taken for typos."""
 _RATE_TOLERANCE = 0.005  # relative; time stamps jitter
 _END = 1e-6  # of a frame: tolerance, so that rounding does not lose the last frame
-_ERRORS: tuple[type[Exception], ...]
-_ERRORS = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 _LONGEST_HELD = 600.0  # s of standing still in all; longer is hardly meant. A guess
 _INTERPOLATED = ("root", "reliability", *LENGTHS, "external_force")
-_NEAREST = ("state", "deciding_term", "contacts")
 
 
 @dataclass(frozen=True)
@@ -289,15 +286,16 @@ def resampled(clip: Clip, fps: float) -> Clip:
         places, turns = line(prop.positions), arc(prop.rotations)
         return replace(prop, positions=places, rotations=turns)
 
-    nearest = np.where(share < 0.5, before, after)
-    origin = np.where(held[:, None], np.uint8(Origin.FILLED), clip.origin[nearest])
-    resampled_fields: dict[str, Any] = {
-        **{name: line(getattr(clip, name)) for name in _INTERPOLATED},
-        **{name: getattr(clip, name)[nearest] for name in _NEAREST},
-        "rotations": arc(clip.rotations),
-        "props": tuple(moved(p) if p.moves else p for p in clip.props),
-    }
-    return replace(clip, time=time, origin=origin, **resampled_fields)
+    nearest = clip.at(np.where(share < 0.5, before, after))
+    lines: dict[str, Any] = {name: line(getattr(clip, name)) for name in _INTERPOLATED}
+    return replace(
+        nearest,
+        time=time,
+        rotations=arc(clip.rotations),
+        origin=np.where(held[:, None], np.uint8(Origin.FILLED), nearest.origin),
+        props=tuple(moved(p) if p.moves else p for p in clip.props),
+        **lines,
+    )
 
 
 def in_strict_t(clip: Clip) -> Clip:
@@ -308,6 +306,46 @@ def in_strict_t(clip: Clip) -> Clip:
     return replace(clip, rotations=rotations, body=replace(body, directions=square))
 
 
+def shaped(clip: Clip, export: Export) -> Clip:
+    """Return a clip with the span, frame rate, loop and rest pose of an export.
+
+    The root motion is that of the export, too, unless a rig has its own. Raises
+    InputError as ``span_of``, ``even_frames`` and ``looped``.
+    """
+    if (export.begin, export.end) != (None, None):
+        clip = clip.at(span_of(export, clip.time, clip.source))
+    if export.fps is not None:
+        clip = resampled(clip, export.fps)
+    if export.loop:
+        clip = looped(clip)
+    clip = in_strict_t(clip) if export.rest == "t" else clip
+    return with_root_motion(clip, export.root) if export.rig is None else clip
+
+
+def with_root_motion(clip: Clip, travel: RootMotion) -> Clip:
+    """Return a clip with only the root motion of ``travel``; props follow the root."""
+    if travel == "travel":
+        return clip
+    left = np.array([1.0, 0.0, 0.0])
+    frame = floor_frame(clip.root, clip.rotations[:, clip.skeleton.root], left)
+    if travel == "in-place":
+        frame = frame.unturned
+    return replace(
+        clip,
+        root=frame.remove(clip.root[:, None])[:, 0],
+        rotations=frame.remove_rotations(clip.rotations),
+        props=tuple(_in_frame(frame, prop) for prop in clip.props),
+    )
+
+
+def _in_frame(frame: HeadingFrame, prop: Prop) -> Prop:
+    shape = len(frame.yaw), 1
+    places = np.broadcast_to(prop.positions[:, None], (*shape, 3))
+    turns = np.broadcast_to(prop.rotations[:, None], (*shape, 4))
+    places, turns = frame.remove(places)[:, 0], frame.remove_rotations(turns)[:, 0]
+    return replace(prop, positions=places, rotations=turns)
+
+
 def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
     """Return the meaning of each index in the provenance, by the table's file name."""
     return {
@@ -316,15 +354,3 @@ def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:
         "originNames": [origin.name.lower() for origin in Origin],
         "contactNames": list(CONTACTS),
     }
-
-
-@contextmanager
-def refused(path: str, wrong: str, *others: type[Exception]) -> Iterator[None]:
-    """Turn errors that a damaged file causes into InputErrors that name the file."""
-    try:
-        yield
-    except InputError as error:
-        text = str(error)
-        raise InputError(text if path in text else f"{path}: {text}") from None
-    except _ERRORS + others:
-        raise InputError(f"{path}: {wrong}") from None

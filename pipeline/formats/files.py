@@ -7,9 +7,11 @@ import io
 import json
 import os
 import re
+import struct
 import sys
 import tomllib
 import uuid
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -41,6 +43,12 @@ _UNUSABLE = re.compile(
 )
 """Names that Windows reserves for devices, changes, or refuses."""
 _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
+_DAMAGE = (
+    *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
+    *(RuntimeError, StopIteration, SyntaxError, TypeError, ValueError),
+    *(struct.error, zipfile.BadZipFile, zlib.error),
+)
+"""What the readers of numpy, zip, GLB and USD raise for damaged files."""
 
 
 def check_folder(path: AnyPath) -> Path:
@@ -100,6 +108,19 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # not there, or still open after another error
             temporary.unlink()
+
+
+@contextmanager
+def refused(path: AnyPath, wrong: str) -> Iterator[None]:
+    """Turn errors that a damaged file causes into InputErrors that name the file."""
+    source = os.fspath(path)
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        raise InputError(text if source in text else f"{source}: {text}") from None
+    except _DAMAGE:
+        raise InputError(f"{source}: {wrong}") from None
 
 
 @contextmanager

@@ -186,7 +186,9 @@ def _add_person(
     nodes += [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
     for n, parent in enumerate(rig.parents[1:], start=1):
         nodes[first + parent].setdefault("children", []).append(first + n)
-    turns = _local_rotations(motion, rows)
+    some = chunks(len(rows), FRAMES_AT_ONCE)
+    local = [rig.local_rotations(motion.rotations[rows[part]]) for part in some]
+    turns = continuous(np.concatenate(local))
     paths = {node: places[rows] for node, places in motion.places.items()}
     if export.keys is None or len(rows) < 2:
         for node, places in paths.items():
@@ -270,7 +272,7 @@ def _inverse_binds(rig: Rig) -> NDArray[Any]:
     binds = np.tile(np.eye(4), (len(rig), 1, 1))
     if rig.axes is not None:
         binds[:, :3, :3] = matrix_from_wxyz(rig.axes)
-    binds[:, :3, 3] = rig.rest_positions
+    binds[:, :3, 3] = rig.positions
     inverse = np.linalg.inv(binds)
     inverse[:, 3] = (0.0, 0.0, 0.0, 1.0)
     return np.swapaxes(inverse, 1, 2).reshape(len(rig), 16).astype("<f4")
@@ -290,14 +292,6 @@ def _skin(clip: Clip, rig: Rig, glb: _Document) -> dict[str, Any]:
     glb.lists["accessors"][attributes["WEIGHTS_0"]]["normalized"] = True
     corners = glb.add(skin.triangles.astype("<u2").ravel(), _CORNERS)  # about 9,000
     return {"attributes": attributes, "indices": corners}
-
-
-def _local_rotations(motion: RigMotion, rows: Indices) -> NDArray[Any]:
-    """Return every node's rotation relative to its parent, wxyz, (K, N, 4)."""
-    local = np.empty((len(rows), len(motion.rig), 4))
-    for some in chunks(len(rows), FRAMES_AT_ONCE):
-        local[some] = motion.rig.local_rotations(motion.rotations[rows[some]])
-    return continuous(local)
 
 
 def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:

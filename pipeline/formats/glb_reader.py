@@ -21,13 +21,12 @@ from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import normalize
 
 from . import glb
-from .export import DAMAGED, PER_CLIP, name_tables, refused
-from .files import AnyPath, check_file
+from .export import DAMAGED, PER_CLIP, name_tables
+from .files import AnyPath, check_file, refused
 from .rig import motion_of_rig, own_skeleton, rig_of
 
 _LARGEST = 2**31  # bytes: hours of the largest skeleton
 _Values = Callable[[int], NDArray[Any]]
-_ERRORS = (ArithmeticError, MemoryError, StopIteration, struct.error, zlib.error)
 
 
 def read_glb(path: AnyPath) -> Clip:
@@ -37,7 +36,7 @@ def read_glb(path: AnyPath) -> Clip:
     another rig.
     """
     source = os.fspath(path)
-    with refused(source, DAMAGED, *_ERRORS), np.errstate(all="ignore"):
+    with refused(source, DAMAGED), np.errstate(all="ignore"):
         return _clip(*_chunks(check_file(path)), source)
 
 
@@ -47,11 +46,11 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
     Keyframes are those of the first skeleton, which may come from any program. Raises
     InputError if the file is missing, damaged or has no animated skeleton.
     """
-    with refused(os.fspath(path), DAMAGED, *_ERRORS), np.errstate(all="ignore"):
+    with refused(path, DAMAGED), np.errstate(all="ignore"):
         document, data = _chunks(check_file(path))
-        _, animation = _skin_and_animation(document)
         nodes, skins = document["nodes"], document["skins"]
         names = [[str(nodes[n]["name"]) for n in skin["joints"]] for skin in skins]
+        animation = document["animations"][0]
         extras = animation.get("extras", {}).get("kinefilter")
         if extras and "people" not in extras:
             time = np.array(extras["time"], dtype=float)
@@ -60,15 +59,8 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
         return names, _values(document, data, index).astype(float).ravel()
 
 
-def _skin_and_animation(
-    document: dict[str, Any],
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    if not document.get("skins") or not document.get("animations"):
-        raise InputError("has no animated skeleton; expected a clip of kinefilter")
-    return document["skins"][0], document["animations"][0]
-
-
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
+    """Return the document of an animated skeleton, and its binary data."""
     if path.stat().st_size > _LARGEST:
         raise InputError("is larger than any clip that kinefilter writes")
     with path.open("rb") as file:
@@ -81,13 +73,16 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
             parts.append(file.read(size))
             if found != kind or len(parts[-1]) != size:
                 raise InputError("ends before its data does; export it again")
-    return json.loads(parts[0]), parts[1]
+    document = json.loads(parts[0])
+    if not document.get("skins") or not document.get("animations"):
+        raise InputError("has no animated skeleton; expected a clip of kinefilter")
+    return document, parts[1]
 
 
 def _clip(document: dict[str, Any], data: bytes, path: str) -> Clip:
-    nodes, (skin, animation) = document["nodes"], _skin_and_animation(document)
+    nodes, animation = document["nodes"], document["animations"][0]
     extras = animation.get("extras", {}).get("kinefilter")
-    joints = skin["joints"]
+    joints = document["skins"][0]["joints"]
     skeleton = own_skeleton([nodes[n]["name"] for n in joints])
     if skeleton is None:
         raise InputError("is on another skeleton; give a clip written without --rig")
@@ -162,7 +157,11 @@ def _provenance(extras: dict[str, Any], count: int, kept: Indices) -> dict[str, 
     values: dict[str, Any] = {f: float(extras[k]) for k, f in once if k in extras}
     for name, field in glb.PER_KEYFRAME.items():
         width = {"contacts": len(CONTACTS), "external_force": 1}.get(field, joints)
-        rows = _unpacked(extras[name], count, width)[kept].astype(float)
+        size = count * width * glb.PACKED.itemsize
+        text = base64.b64decode(extras[name])
+        data = zlib.decompressobj().decompress(text, size + 1)
+        rows = np.frombuffer(data, glb.PACKED).reshape(width, count).T[kept]
+        rows = rows.astype(float)
         if field == "external_force":
             rows = rows[:, 0]
         if field in glb.SCALES:
@@ -172,13 +171,6 @@ def _provenance(extras: dict[str, Any], count: int, kept: Indices) -> dict[str, 
         else:
             raise InputError(f"its {name} are not codes; export it again")
     return values
-
-
-def _unpacked(text: str, count: int, width: int) -> NDArray[Any]:
-    """Return the whole numbers (K, C) that ``write_glb`` packed."""
-    size = count * width * glb.PACKED.itemsize
-    data = zlib.decompressobj().decompress(base64.b64decode(text), size + 1)
-    return np.frombuffer(data, glb.PACKED).reshape(width, count).T
 
 
 def _wxyz(xyzw: Array) -> Array:

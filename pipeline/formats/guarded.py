@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 
-from .files import AnyPath, check_file
+from .files import AnyPath, check_file, refused
 
 _SECONDS, _PER_BYTE = 15.0, 2e-6
 """Limit of processor time [s] for any file, and in addition per byte: hundreds of times
@@ -83,12 +83,9 @@ def read_usd(reader: str, path: AnyPath) -> dict[str, NDArray[Any]]:
     if size > _LARGEST_USD:
         raise InputError(f"{source}: {size / 1e6:.0f} MB is too large; split it")
     if Path(source).suffix.lower() == ".usdz":
-        try:
-            with zipfile.ZipFile(source) as archive:
-                members = archive.infolist()
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-            reason = "is a damaged USD package; export it again"
-            raise InputError(f"{source}: {reason}") from None
+        damaged = "is a damaged USD package; export it again"
+        with refused(source, damaged), zipfile.ZipFile(source) as archive:
+            members = archive.infolist()
         stored = all(member.compress_type == zipfile.ZIP_STORED for member in members)
         if not stored or sum(member.file_size for member in members) > size:
             raise InputError(f"{source}: packed, as USD must not be; export it again")

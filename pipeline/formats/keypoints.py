@@ -1,21 +1,8 @@
 """Takes from the 3D landmarks that trackers of camera images find.
 
-Layouts, as the tools document them:
-
-- ``npy``: an array (frames, landmarks, 3), or 4 with the landmark's visibility, 0 to 1.
-  MediaPipe's 33 landmarks of a pose, alone, with both hands (75), or as FreeMoCap
-  writes them, followed by hands and face (543 or 553); COCO's whole body (133);
-  HALPE_26; OpenPose's BODY_25 with hands and face (137).
-- ``freemocap``: CSV with a column for each coordinate of a landmark, such as
-  ``body_left_hip_x``, and optionally a ``timestamp``.
-- ``openpose``: ``--write_json`` with ``--3d``: one file per frame, of which any stands
-  for all those beside it, or a list of their contents in one file. Each has ``people``
-  with ``pose_keypoints_3d``: x, y, z and confidence of BODY_25's landmarks.
-- ``mmpose``: predictions of MMPose's 3D lifters, including RTMPose's: a list of frames
-  with ``instances``, each with ``keypoints`` and ``keypoint_scores``, by itself or as
-  ``instance_info`` beside ``meta_info``.
-
-Files without time stamps are read at 30 frames a second (``recording.at_rate``).
+These are arrays (npy), FreeMoCap's CSV, and the JSON of OpenPose (``--write_json`` with
+``--3d``) and of MMPose's 3D lifters; CONVENTIONS.md describes their layouts. Files
+without time stamps are read at 30 frames a second (``recording.at_rate``).
 """
 
 from __future__ import annotations
@@ -35,7 +22,7 @@ from kinefilter.characters import KINECT_V2, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import check_order
 
-from .files import array_of, list_in, number_in, read_bytes, read_json
+from .files import array_of, list_in, number_in, read_bytes, read_json, refused
 from .markers import mocap_of_points
 from .mocap import kinect_joints, plain_name, read_points
 from .npz import check_header, read_array
@@ -54,7 +41,6 @@ from .rows import RowReader
 _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
 _FRAME_FILE = re.compile(r"(.*?)(\d{12})(_keypoints\.json)")
-_UNREADABLE = (ValueError, TypeError, EOFError, MemoryError, SyntaxError, OverflowError)
 
 
 def _sides(words: str) -> list[str]:
@@ -98,13 +84,8 @@ _IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BOD
 def read_npy(source: str) -> Recording:
     """Read an array of landmarks; raises InputError if it is malformed."""
     data = io.BytesIO(read_bytes(source, _LARGEST))
-    try:
+    with refused(source, "cannot be read as npy; expected an array of numbers"):
         array = read_array(data, len(data.getvalue()))
-    except _UNREADABLE as error:
-        name = type(error).__name__
-        raise InputError(
-            f"{source}: cannot be read as npy ({name}); expected an array of numbers"
-        ) from None
     if not _is_pose(array.shape) or array.dtype.kind not in "fiu":
         counts = ", ".join(map(str, sorted(_IN_NPY)))
         raise InputError(
@@ -116,7 +97,7 @@ def read_npy(source: str) -> Recording:
         values = array[:, : len(names)].astype(np.float64)
     visibility = values[..., 3] if values.shape[2] == 4 else None
     mocap = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, visibility)
-    return replace(read_points(mocap, "npy"), timed=False)
+    return replace(read_points(mocap), timed=False)
 
 
 def _is_pose(shape: tuple[int, ...]) -> bool:
@@ -124,12 +105,13 @@ def _is_pose(shape: tuple[int, ...]) -> bool:
 
 
 def claims_npy(source: str) -> bool:
-    """Return True if an array's shape is one of landmarks; others are beside takes."""
+    """Return True if an array's shape is one of landmarks; others are beside takes.
+
+    Raises InputError for damaged arrays.
+    """
     data = io.BytesIO(read_bytes(source, _LARGEST))
-    try:
+    with refused(source, "cannot be read as npy"):
         return _is_pose(check_header(data, len(data.getvalue())))
-    except _UNREADABLE:
-        return False
 
 
 def read_freemocap(source: str) -> Recording:
@@ -157,9 +139,9 @@ def read_freemocap(source: str) -> Recording:
     mocap = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
     time = values[:, 0]
     if np.isnan(time).any():
-        return replace(read_points(mocap, "freemocap"), timed=False)
+        return replace(read_points(mocap), timed=False)
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
-    return read_points(mocap, "freemocap", time - time[0])
+    return read_points(mocap, time - time[0])
 
 
 def _cells(line: str, source: str) -> list[str]:
@@ -192,7 +174,7 @@ def read_openpose(source: str) -> Recording:
             people = list_in(frame, "people", where, "OpenPose")
             frames.append([_openpose_body(person, where) for person in people])
             numbers.append(float(number + k))
-    return _recording(frames, numbers, source, "openpose")
+    return _recording(frames, numbers, source)
 
 
 def frame_files(source: str) -> list[tuple[int, Path]]:
@@ -240,7 +222,7 @@ def read_mmpose(source: str) -> Recording:
         frame = {"frame_id": float(k), **frame}
         numbers.append(number_in(frame, "frame_id", where, MOST_FRAMES))
         frames.append([_mmpose_body(body, names, where) for body in bodies])
-    return _recording(frames, numbers, source, "mmpose")
+    return _recording(frames, numbers, source)
 
 
 def _landmark_names(meta: Any) -> tuple[str, ...] | None:
@@ -268,7 +250,7 @@ def _mmpose_body(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
 
 
 def _recording(
-    frames: list[list[_Body | None]], numbers: list[float], source: str, layout: str
+    frames: list[list[_Body | None]], numbers: list[float], source: str
 ) -> Recording:
     check_length(len(frames), source)
     time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
@@ -287,8 +269,8 @@ def _recording(
     mocap = mocap_of_points(
         names[0], np.stack(points), ASSUMED_FPS, source, np.stack(scores)
     )
-    positions, state, unit, notes, _ = kinect_joints(mocap, KINECT_V2)
-    sightings = list(map(Sighting, frame_of, number_of, positions, state))
+    positions, motion, notes = kinect_joints(mocap, KINECT_V2)
+    sightings = list(map(Sighting, frame_of, number_of, positions, motion.state))
     takes, others = takes_of_people(time, sightings, KINECT_V2, source)
-    people = Recording(takes, layout, unit, (*notes, *others), timed=False)
-    return of_other_tracker(people)
+    people = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
+    return of_other_tracker(replace(people, timed=False))

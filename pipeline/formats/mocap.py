@@ -34,13 +34,20 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
-from kinefilter.retarget.rig_map import listed, matching_source_rig
+from kinefilter.retarget.rig_map import listed, load_source_rig, matching_source_rig
 
 from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
+from .recording import (
+    Mocap,
+    Notes,
+    Recording,
+    check_length,
+    of_other_tracker,
+    takes_of_rows,
+)
 
 _POINT_RIGS = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
@@ -57,16 +64,6 @@ _TO_Y_UP = {
 for y down, as in camera frames, half a turn about z: people still face the camera."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
 """Units of mocap in meters; CMU's is an inch over 0.45."""
-_TITLES = {
-    "cmu": "the joint names of the cgspeed conversion of CMU mocap",
-    "motionbuilder": "the joint names of MotionBuilder",
-    "acclaim": "the bone names of CMU's ASF files",
-    "plug_in_gait": "the joint centers of Vicon's Plug-in Gait",
-    "keypoints": "the landmarks of MediaPipe, OpenPose, COCO or Human3.6M",
-    "rokoko": "the bone names of Rokoko Studio",
-    "ipi": "the bone names of iPi Mocap Studio",
-    "jointed": "the names of a skeleton of joints",
-}
 _TOLERANCE = 1.5  # largest ratio of a body's lengths to the standard body's, or inverse
 _TRACKED_FROM = 0.5  # confidence, see above
 _STILL = 1e-3  # m; a tracker whose hips move less always puts them in the same place
@@ -115,55 +112,54 @@ def _bvh_mocap(source: str) -> Mocap:
 
 def read_bvh_take(source: str) -> Recording:
     """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
-    return _recording(_bvh_mocap(source), (KINECT_V2, KINECT_V1), _BVH_RIGS, "bvh")
+    return _recording(_bvh_mocap(source), (KINECT_V2, KINECT_V1), _BVH_RIGS)
 
 
 def read_trc_take(source: str) -> Recording:
     """Read the joints in a TRC file as a take; raises InputError as read_points."""
-    return read_points(read_trc(source), "trc")
+    return read_points(read_trc(source))
 
 
 def read_c3d_take(source: str) -> Recording:
     """Read the joints in a C3D file as a take; raises InputError as read_points."""
-    return read_points(read_c3d(source), "c3d")
+    return read_points(read_c3d(source))
 
 
-def read_points(mocap: Mocap, layout: str, time: Array | None = None) -> Recording:
+def read_points(mocap: Mocap, time: Array | None = None) -> Recording:
     """Make a take of named points, at the frame rate or at the times [s] given.
 
     Raises InputError if they are of no known rig or not of a person.
     """
-    return _recording(mocap, (KINECT_V1, KINECT_V2), _POINT_RIGS, layout, time)
+    return _recording(mocap, (KINECT_V1, KINECT_V2), _POINT_RIGS, time)
 
 
 def _recording(
     mocap: Mocap,
     skeletons: tuple[Skeleton, Skeleton],
     rigs: Sequence[str],
-    layout: str,
     time: Array | None = None,
 ) -> Recording:
     """Make a recording on the first skeleton if all its joints are there by name."""
     check_length(len(mocap.positions), mocap.source)
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
-    positions, state, unit, notes, rig = kinect_joints(mocap, skeleton, rigs)
+    positions, motion, notes = kinect_joints(mocap, skeleton, rigs)
     if time is None:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
-    takes, others = takes_of_rows(time, positions, state, skeleton, mocap.source)
-    recording = Recording(takes, layout, unit, (*notes, *others))
-    return recording if rig == skeleton.name else of_other_tracker(recording)
+    takes, others = takes_of_rows(time, positions, motion.state, skeleton, mocap.source)
+    recording = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
+    return recording if motion.rig == skeleton.name else of_other_tracker(recording)
 
 
 def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
-) -> tuple[Array, Codes, str, list[str], str]:
-    """Return positions [m] (T, J, 3), states (T, J), the unit, notes and the rig.
+) -> tuple[Array, KinectMotion, Notes]:
+    """Return a take's positions [m] (T, J, 3), the motion they come from, and notes.
 
     Raises InputError as ``kinect_motion``.
     """
     motion = kinect_motion(mocap, skeleton, rigs)
-    positions, notes = motion.meters * motion.positions, []
+    positions, notes = motion.meters * motion.positions, list[str]()
     if not motion.unit:
         notes.append(f"no unit of length fits the bones; scaled by {motion.meters:.4g}")
     hips = positions[:, skeleton.root]
@@ -171,11 +167,7 @@ def kinect_joints(
     if mocap.rotations is None and np.ptp(hips[:, [0, 2]], axis=0).max() < _STILL:
         positions = positions + _AHEAD
         notes.append(_NO_TRAVEL)
-    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    if motion.confidence is not None:
-        state[~(motion.confidence >= _TRACKED_FROM)] = State.INFERRED
-        state[~(motion.confidence > 0.0)] = State.NOT_TRACKED
-    return positions, state, motion.unit or "unknown", notes, motion.rig
+    return positions, motion, tuple(notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,10 +176,10 @@ class KinectMotion:
 
     positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
     turns: Array | None  # world rotation of the part that turns each segment, wxyz
+    state: Codes  # tracking states, shape (T, J)
     unit: str  # best fit to the bones; empty if none fits
     meters: float  # length of the unit, or scale to a standard body if none fits [m]
     rig: str
-    confidence: Array | None = None  # of each joint, shape (T, J), if known
 
 
 def plain_name(name: str) -> str:
@@ -206,38 +198,38 @@ def kinect_motion(
     InputError if the joints are of no known rig, or in no frame.
     """
     names = mocap.bare_names
-    column = dict[str, int]()
-    for k, name in enumerate(names):
-        column.setdefault(name, k)
-    for k, name in enumerate(names if mocap.rotations is None else ()):
-        column.setdefault(plain_name(name), k)
+    backward = [*enumerate(names)][::-1]  # of equal names, the first one counts
+    column = {name: k for k, name in backward}
+    if mocap.rotations is None:
+        column = {plain_name(name): k for k, name in backward} | column
     rig, missing = matching_source_rig(column, skeleton, known)
     if missing and len(missing) == len(rig.needed):
-        titles = "; ".join(_TITLES.get(name, name) for name in known)
+        titles = "; ".join(load_source_rig(name, skeleton).title for name in known)
         raise InputError(
             f"{mocap.source}: no joint has a known name: expected the Kinect's; "
             f"{titles}; found {listed(names)}"
         )
     if missing:
-        title = _TITLES.get(rig.name, f"the joint names of {rig.name}")
         raise InputError(
             f"{mocap.source}: no joint {missing[0]!r} ({len(missing)} missing); "
-            f"expected {title} ({listed(sorted(rig.needed))}); found {listed(names)}"
+            f"expected {rig.title} ({listed(sorted(rig.needed))}); "
+            f"found {listed(names)}"
         )
     joints = [skeleton.index(joint) for joint in rig.joints]
     columns = [[column[name] for name in row.at] for row in rig.joints.values()]
     turned_by = [row.turned_by for row in rig.joints.values() if row.turned_by]
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
-    turns = confidence = None
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    turns = None
     for j, at in zip(joints, columns, strict=True):
         positions[:, j] = mocap.positions[:, at].mean(axis=1)
+        if mocap.confidence is not None:
+            confidence = mocap.confidence[:, at].min(axis=1)
+            state[~(confidence >= _TRACKED_FROM), j] = State.INFERRED
+            state[~(confidence > 0.0), j] = State.NOT_TRACKED
     if mocap.rotations is not None and len(turned_by) == len(joints):
         turns = np.tile(IDENTITY, (*positions.shape[:2], 1))
         turns[:, joints] = mocap.rotations[:, [column[name] for name in turned_by]]
-    if mocap.confidence is not None:
-        confidence = np.zeros(positions.shape[:2])
-        for j, at in zip(joints, columns, strict=True):
-            confidence[:, j] = mocap.confidence[:, at].min(axis=1)
     spine = positions[:, skeleton.girdle] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
@@ -249,7 +241,7 @@ def kinect_motion(
         positions = rotate(turn, positions)
         turns = None if turns is None else multiply(turn, turns)
     unit, meters = find_unit(positions, skeleton, mocap.source)
-    return KinectMotion(positions, turns, unit, meters, rig.name, confidence)
+    return KinectMotion(positions, turns, state, unit, meters, rig.name)
 
 
 def find_unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:

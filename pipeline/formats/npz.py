@@ -6,7 +6,6 @@ import math
 import os
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
@@ -20,19 +19,18 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Clip, InputError, Prop, Shape, skeleton_named
 
-from .files import AnyPath, atomic_path, check_file
+from .files import AnyPath, atomic_path, check_file, refused
 
 _LARGEST = 2**31  # bytes of all arrays: nine hours of the largest skeleton's positions
 _KINDS = "biufUS"  # numpy's letters for Booleans, numbers and text
 _MOST_ARRAYS = 1000
 _LONGEST_HEADER = 10_000  # bytes, numpy's own limit for untrusted files
 
-_DEFAULTS = {"tilt": np.nan, "floor": np.nan, "roll": 0.0}
-"""Values that files of older versions lack, as they lack the uncertainty; a roll of 0
-is never written."""
 _FIRST = ("time", "positions", "rotations")
-_OTHERS = (*_FIRST, *_DEFAULTS, "root", "body", "source", "props")
+_ONCE = ("tilt", "floor", "roll")  # numbers of the whole clip; a roll of 0 is left out
+_OTHERS = (*_FIRST, *_ONCE, "root", "body", "source", "props")
 _ARRAYS = (*_FIRST, *(f.name for f in fields(Clip) if f.name not in _OTHERS))
+_PROP = ("name", "positions", "rotations")
 _SHAPE = tuple(field.name for field in fields(Shape) if field.name != "kind")
 _BODY = tuple(field.name for field in fields(Body) if field.name != "skeleton")
 
@@ -41,19 +39,12 @@ _OURS = "a file that kinefilter wrote"
 
 @contextmanager
 def _archive(path: AnyPath, expected: str = _OURS) -> Iterator[zipfile.ZipFile]:
-    source = os.fspath(check_file(path))
-    try:
-        with zipfile.ZipFile(source) as archive:
-            yield archive
-    except InputError:
-        raise
-    except (
-        *(OSError, EOFError, ValueError, TypeError, MemoryError, OverflowError),
-        *(zipfile.BadZipFile, zlib.error, NotImplementedError, SyntaxError),
-        RuntimeError,  # from an archive with a password
-    ) as error:
-        reason = f"cannot be read as npz ({type(error).__name__})"
-        raise InputError(f"{source}: {reason}; expected {expected}") from None
+    check_file(path)
+    with (
+        refused(path, f"cannot be read as npz; expected {expected}"),
+        zipfile.ZipFile(path) as archive,
+    ):
+        yield archive
 
 
 def array_names(path: AnyPath) -> set[str]:
@@ -111,15 +102,10 @@ def check_header(file: IO[bytes], size: int) -> tuple[int, ...]:
 
 
 def write_arrays(path: AnyPath, arrays: Mapping[str, Any]) -> None:
-    """Write arrays as npz; the file appears whole or not at all."""
+    """Write arrays as npz, whole or not at all; equal arrays give equal bytes."""
     # Pass an open file: numpy would add .npz to a name that ends in .NPZ.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
-
-
-def write_npz(clip: Clip, path: AnyPath) -> None:
-    """Write a clip as npz; equal clips give equal bytes."""
-    write_arrays(path, clip_as_arrays(clip))
 
 
 def clip_as_arrays(clip: Clip) -> dict[str, Any]:
@@ -143,31 +129,23 @@ def clip_as_arrays(clip: Clip) -> dict[str, Any]:
 def read_npz(path: AnyPath) -> Clip:
     """Read a clip that write_clip wrote as npz; raises InputError for other files."""
     arrays = read_arrays(path, "a clip that kinefilter wrote")
-    try:
+    with refused(path, "its arrays are not those of a clip; write it again"):
         return clip_of_arrays(arrays)
-    except InputError as error:
-        wrong = str(error)
-    except KeyError as error:
-        wrong = f"not a kinefilter clip (no array {error.args[0]}); write it again"
-    except (ValueError, TypeError, IndexError):
-        wrong = "its arrays are not those of a clip; write it again"
-    raise InputError(f"{os.fspath(path)}: {wrong}")
 
 
 def clip_of_arrays(archive: dict[str, Any]) -> Clip:
     """Return the clip whose arrays these are.
 
-    Raises InputError, KeyError, ValueError, TypeError or IndexError if they are not.
+    Raises InputError, ValueError, TypeError or IndexError if they are not.
     """
+    archive = {"roll": 0.0, **archive}
+    names = (*_ARRAYS, *_ONCE, *_BODY)
+    for name in ("skeleton", "source", *names):
+        if name not in archive:
+            raise InputError(f"not a kinefilter clip (no array {name}); write it again")
     skeleton = skeleton_named(str(archive["skeleton"]))
-    unknown = np.full(np.shape(archive["reliability"]), np.nan)
-    archive = {"uncertainty": unknown, **_DEFAULTS, **archive}
-    names = (*_ARRAYS, *_DEFAULTS, *_BODY)
     arrays: dict[str, Any] = {name: np.asarray(archive[name]) for name in names}
-    for name, array in arrays.items():
-        if array.dtype.kind not in ("f" if name == "time" else "biuf"):
-            raise InputError(f"array {name} is not numeric; write the clip again")
-    arrays |= {name: arrays[name].item() for name in (*_DEFAULTS, "height", "mass")}
+    arrays |= {name: arrays[name].item() for name in (*_ONCE, "height", "mass")}
     body = Body(skeleton, **{name: arrays.pop(name) for name in _BODY})
     positions = arrays.pop("positions")
     if positions.shape != (len(arrays["time"]), len(skeleton), 3):
@@ -184,9 +162,8 @@ def clip_of_arrays(archive: dict[str, Any]) -> Clip:
 def _props_as_arrays(props: Iterable[Prop]) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     for k, prop in enumerate(props):
-        arrays[f"prop:{k}:name"] = np.array(prop.name)
-        arrays[f"prop:{k}:positions"] = prop.positions
-        arrays[f"prop:{k}:rotations"] = prop.rotations
+        for name in _PROP:
+            arrays[f"prop:{k}:{name}"] = np.asarray(getattr(prop, name))
         arrays[f"prop:{k}:kinds"] = np.array([shape.kind for shape in prop.shapes])
         for n, shape in enumerate(prop.shapes):
             for name in _SHAPE:
@@ -202,6 +179,5 @@ def _props_from_arrays(archive: dict[str, Any]) -> Iterator[Prop]:
             Shape(kind, *(archive[f"prop:{k}:{n}:{name}"] for name in _SHAPE))
             for n, kind in enumerate(archive[f"prop:{k}:kinds"].tolist())
         ]
-        name = str(archive[f"prop:{k}:name"])
-        places, turns = archive[f"prop:{k}:positions"], archive[f"prop:{k}:rotations"]
-        yield Prop(name, tuple(shapes), places, turns)
+        name, places, turns = (archive[f"prop:{k}:{part}"] for part in _PROP)
+        yield Prop(str(name), tuple(shapes), places, turns)

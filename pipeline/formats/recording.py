@@ -59,7 +59,7 @@ class Recording:
     """The contents of a file from a sensor or its tools."""
 
     takes: tuple[Take, ...]  # one per person, in order of appearance
-    format: str  # name of the file's format (``takes.FORMATS``)
+    format: str = ""  # name of the file's format (``takes.FORMATS``)
     unit: str = "m"  # the file's own unit of length
     notes: Notes = ()  # what the user should know about how it was read
     timed: bool = True  # False if the file has no time stamps
@@ -67,8 +67,7 @@ class Recording:
     @property
     def main(self) -> int:
         """Index of the person tracked in most frames."""
-        tracked = [(take.state > State.NOT_TRACKED).any(axis=1) for take in self.takes]
-        return int(np.argmax([frames.sum() for frames in tracked]))
+        return int(np.argmax([take.state.any(axis=1).sum() for take in self.takes]))
 
     def numbers(self, body: int | Literal["all"] | None) -> list[int]:
         """Return the requested people's numbers, from 1; None is the main person."""

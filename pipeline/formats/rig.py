@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -14,15 +14,15 @@ from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
 from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.retargeting import Retargeted, rig_frame, segment_of
-from kinefilter.retarget.target_rig import TargetRig
+from kinefilter.retarget.target_rig import RestPose, TargetRig
 
 RootMotion = Literal["travel", "in-place", "none"]
 """Root motion that is kept: all of it, only the turns, or none."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """A tree of nodes, each of which rotates everything below it.
+class Rig(RestPose):
+    """A skeleton at rest as files have it: nodes that rotate everything below them.
 
     In a clip every segment has its own rotation. So where a joint branches, each child
     gets a helper node ``<Child>Pivot`` at the same place, which rotates with the
@@ -30,36 +30,8 @@ class Rig:
     leaf with its own. On other rigs every node has its own segment.
     """
 
-    names: tuple[str, ...]  # the sensor's for a joint, ``<Child>Pivot`` for a helper
-    parents: tuple[int, ...]  # index of each node's parent, -1 for the root
-    offsets: Array  # vector [m] from the parent in the T-pose, shape (N, 3), root 0
-    segments: Indices  # index of the segment that each node rotates with, shape (N,)
-    root: Array  # position of the root in the T-pose [m], shape (3,)
-    axes: Array | None = None
-    """World rotation of each node's axes in the rest pose, wxyz, shape (N, 4). None
-    stands for the world's axes."""
-    axes_in_bvh: bool = False  # BVH has the axes in its motion, and so no rest pose
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @cached_property
-    def rest_positions(self) -> Array:
-        """T-pose position [m] of each node, soles on y = 0, shape (N, 3)."""
-        positions = self.root + self.offsets
-        for n, parent in enumerate(self.parents[1:], start=1):
-            positions[n] = positions[parent] + self.offsets[n]
-        return positions
-
-    @cached_property
-    def depth_first(self) -> tuple[int, ...]:
-        """Indices of the nodes, each one before all those below it, by branches."""
-        order, stack = [], [0]
-        while stack:
-            order.append(stack.pop())
-            children = [n for n, p in enumerate(self.parents) if p == order[-1]]
-            stack.extend(reversed(children))
-        return tuple(order)
+    segments: Indices = field(kw_only=True)
+    """Index of the segment that each node rotates with, shape (N,)."""
 
     @cached_property
     def segment_nodes(self) -> Indices:
@@ -94,37 +66,36 @@ class Rig:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Local position [m] (N, 3) and rotation (N, 4) of each node in the T-pose."""
+        """Local position [m] (N, 3) and rotation (N, 4) of each node at rest."""
         still = np.tile(IDENTITY, (int(self.segments.max()) + 1, 1))
-        places = self.offsets.copy()
-        places[0] = self.root
+        places, above = self.positions.copy(), list(self.parents[1:])
+        places[1:] -= self.positions[above]
         if self.axes is not None:
-            parent_axes = self.axes[list(self.parents[1:])]
-            places[1:] = rotate(inverse(parent_axes), places[1:])
+            places[1:] = rotate(inverse(self.axes[above]), places[1:])
         return places, self.local_rotations(still)
 
 
 def rig_of(body: Body) -> Rig:
     """Return the rig for a body on kinefilter's own skeleton."""
     skeleton = body.skeleton
-    nodes: list[tuple[str, int, Array, int]] = []  # name, parent, offset, segment
+    nodes: list[tuple[str, int, int, int]] = []  # name, parent, joint, segment
 
     def add_joint(joint: int, parent: int) -> None:
         children, name = skeleton.children[joint], skeleton.joints[joint]
         branches = len(children) > 1 or joint == skeleton.root
         segment = joint if branches or not children else children[0]
         node = len(nodes)
-        nodes.append((name, parent, body.rest_offsets[joint], segment))
+        nodes.append((name, parent, joint, segment))
         for child in children:
             if branches:
                 pivot = f"{skeleton.joints[child]}Pivot"
-                nodes.append((pivot, node, np.zeros(3), child))
+                nodes.append((pivot, node, joint, child))
             add_joint(child, len(nodes) - 1 if branches else node)
 
     add_joint(skeleton.root, -1)
-    names, parents, offsets, segments = zip(*nodes, strict=True)
-    root = body.rest_positions[skeleton.root]
-    return Rig(names, parents, np.array(offsets), np.array(segments), root)
+    names, parents, joints, segments = zip(*nodes, strict=True)
+    places = body.rest_positions[list(joints)]
+    return Rig(names, parents, places, segments=np.array(segments))
 
 
 def own_skeleton(names: Sequence[str]) -> Skeleton | None:
@@ -188,10 +159,7 @@ def retargeted_motion(
 ) -> RigMotion:
     """Return a motion of the sensor's skeleton on a target, with the root motion."""
     rest = target.rest
-    offsets = rest.positions - rest.positions[np.array(rest.parents)]
-    offsets[0] = 0.0
-    tree = (rest.names, rest.parents, offsets, np.arange(len(rest)), rest.positions[0])
-    rig = Rig(*tree, rest.axes, rest.axes_in_bvh)
+    rig = Rig(**vars(rest), segments=np.arange(len(rest)))
     rotations, positions = motion.rotations, motion.positions
     if travel != "travel":
         frame = rig_frame(target, motion)

@@ -110,7 +110,6 @@ def take_rows(time: Array, positions: Array, state: Codes) -> str:
 
 @dataclass(frozen=True)
 class _Layout:
-    name: str
     skeleton: Skeleton
     columns: tuple[str, ...]
     normalize: Callable[[str], str]  # see RowReader
@@ -149,7 +148,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
         wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
-    return _Layout("kinefilter", skeleton, columns, str, 1.0, has_header=True)
+    return _Layout(skeleton, columns, str, 1.0, has_header=True)
 
 
 def _kinect_v1(line: str, source: str) -> _Layout:
@@ -170,7 +169,7 @@ def _kinect_v1(line: str, source: str) -> _Layout:
         return ",".join(",".join(cell.split()) or ",," for cell in cells)
 
     columns = tuple(f"{joint}.{axis}" for joint in joints for axis in _AXES)
-    return _Layout("kinect-v1", KINECT_V1, columns, normalize, 1 / 30, has_header=True)
+    return _Layout(KINECT_V1, columns, normalize, 1 / 30, has_header=True)
 
 
 def _v2_cells(line: str) -> str:
@@ -182,9 +181,9 @@ def _msrc_cells(line: str) -> str:
     return ",".join(line.replace(",", " ").split())
 
 
-_V1_COLUMNS, _V2_COLUMNS = _columns(KINECT_V1), _columns(KINECT_V2)
-_V2 = _Layout("kinect-v2", KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
-_MSRC = _Layout("msrc-12", KINECT_V1, _V1_COLUMNS, _msrc_cells, 1e-6, weighted=True)
+_V2_COLUMNS = _columns(KINECT_V2)
+_V2 = _Layout(KINECT_V2, _V2_COLUMNS, _v2_cells, 100e-9)
+_MSRC = _Layout(KINECT_V1, _columns(KINECT_V1), _msrc_cells, 1e-6, weighted=True)
 
 
 def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
@@ -215,7 +214,7 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
         # Not states but the w of homogeneous points, 1 for every joint present.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
     takes, others = takes_of_rows(time, positions, state, layout.skeleton, source)
-    return Recording(takes, layout.name, notes=(*notes, *others))
+    return Recording(takes, notes=(*notes, *others))
 
 
 def _without_torn_end(
@@ -239,20 +238,17 @@ def _frames(
     block: Block, layout: _Layout, reader: RowReader
 ) -> tuple[Indices, Array, Array, Codes]:
     """Return row numbers, times, positions [m] (R, J, 3) and states (R, J)."""
-    skeleton, values = layout.skeleton, block.values
     index = {column: i for i, column in enumerate(layout.columns)}
-    positions = np.full((len(values), len(skeleton), 3), np.nan)
-    state = np.zeros((len(values), len(skeleton)), dtype=np.uint8)
-    for j, joint in enumerate(skeleton.joints):
-        if f"{joint}.x" in index:
-            positions[:, j] = values[:, [index[f"{joint}.{axis}"] for axis in _AXES]]
-            state[:, j] = State.TRACKED
-        if (column := index.get(f"{joint}.state")) is not None:
-            # An empty state does not make the joint missing.
-            given = np.nan_to_num(values[:, column], nan=State.TRACKED)
-            unknown = ~np.isin(given, list(State))
-            reader.refuse(block, column, unknown, f"is {{:g}}, expected {STATES}")
-            state[:, j] = given
+    # A last column stands for those that the file does not have.
+    values = np.pad(block.values, ((0, 0), (0, 1)), constant_values=np.nan)
+    columns = [index.get(column, -1) for column in _columns(layout.skeleton)[1:]]
+    joints = values[:, columns].reshape(len(values), len(layout.skeleton), -1)
+    # An empty state does not make the joint missing.
+    state = np.nan_to_num(joints[..., 3], nan=State.TRACKED)
+    unknown = ~np.isin(state, list(State))
+    for j in np.flatnonzero(unknown.any(axis=0)).tolist():
+        complaint = f"is {{:g}}, expected {STATES}"
+        reader.refuse(block, columns[4 * j + 3], unknown[:, j], complaint)
     time = np.zeros(len(values))
     if (column := index.get("time")) is not None:
         time = values[:, column]
@@ -260,7 +256,7 @@ def _frames(
         reader.refuse(block, column, np.isnan(time), empty)
         late = "is {:.3g}, expected a time; correct or delete the row"
         reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    return block.rows, time, *mark_missing(positions, state)
+    return block.rows, time, *mark_missing(joints[..., :3], state.astype(np.uint8))
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:

@@ -133,7 +133,7 @@ def read_recording(
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]
     read = getattr(import_module(f".{module}", __package__), function)
-    recording = read(source)
+    recording = replace(read(source), format=name)
     takes = tuple(map(with_y_up, recording.takes))
     if takes != recording.takes:
         note = "y points down, judging by feet and toes: it was negated"

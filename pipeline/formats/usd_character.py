@@ -80,9 +80,9 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(joint_paths(rig))
     skeleton.CreateRestTransformsAttr(_transforms(*rig.at_rest, export))
-    bind = _transforms(rig.rest_positions, rig.axes, export)
+    bind = _transforms(rig.positions, rig.axes, export)
     skeleton.CreateBindTransformsAttr(bind)
-    _set_extent(stage, export.points(rig.rest_positions), SKELETON)
+    _set_extent(stage, export.points(rig.positions), SKELETON)
 
 
 def define_character(stage: Any, body: Body, export: Export) -> None:

@@ -7,7 +7,6 @@ functions here that return arrays by name.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -24,8 +23,8 @@ from kinefilter.characters.rotations import (
     wxyz_from_matrix,
 )
 
-from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, name_tables, refused, with_y_up
-from .files import AnyPath, check_file
+from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, name_tables, with_y_up
+from .files import refused
 from .npz import clip_as_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
 from .usd_character import CHARACTER, SKELETON
@@ -34,28 +33,13 @@ _MOST_JOINTS = 1000  # as in BVH
 _KINDS = {"Cube": "box", "Sphere": "ellipsoid"}  # the other shapes have the same name
 
 
-def read_usd_positions(path: AnyPath) -> tuple[Array, tuple[str, ...], Array]:
-    """Return the joint positions that UsdSkel computes for the first animated skeleton.
-
-    Returns the time of each sample since time code 0 [s] (T,), joint names (N,), and
-    world positions [m] in stage axes (T, N, 3). Raises InputError if the file cannot be
-    opened or has no animated skeleton.
-    """
-    stage, prim, query, names, codes = _first_animated(os.fspath(check_file(path)))
-    positions = np.empty((len(codes), len(names), 3))
-    for frame, code in enumerate(codes):
-        world = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code))
-        matrices = np.array(query.ComputeJointSkelTransforms(code))
-        positions[frame] = matrices[:, 3, :3] @ world[:3, :3] + world[3, :3]
-    time = np.array(codes) / stage.GetTimeCodesPerSecond()
-    return time, tuple(names), positions * UsdGeom.GetStageMetersPerUnit(stage)
-
-
 def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
     """Return units, up axis, rate, joints and duration of an animation, as JSON."""
     with refused(path, DAMAGED):
-        stage, *_ = _first_animated(path)
-        time, names, _ = read_usd_positions(path)
+        stage, _, query, names, codes = first_animated(path)
+        if any(query.ComputeJointSkelTransforms(code) is None for code in codes):
+            raise InputError(DAMAGED)
+        time = np.array(codes) / stage.GetTimeCodesPerSecond()
         prims = stage.Traverse()
         authored = {a.GetName() for prim in prims for a in prim.GetAuthoredAttributes()}
         meters = float(UsdGeom.GetStageMetersPerUnit(stage))
@@ -81,7 +65,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
     unknown, so all joints count as tracked; stature and mass come from the segments.
     """
     with refused(path, DAMAGED):
-        stage, skeleton_prim, query, names, codes = _first_animated(path)
+        stage, skeleton_prim, query, names, codes = first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
             first = ", ".join(names[:3])[:60]
@@ -187,7 +171,7 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     return [path.rpartition("/")[2] for path in paths], parents, matrices
 
 
-def _first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
+def first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     """Return stage, prim, query, joint names and time codes of a skeleton."""
     cache = UsdSkel.Cache()
     with refused(path, "cannot be read as USD; expected .usda, .usdc or .usd"):
@@ -216,7 +200,7 @@ def _provenance(
 
     for name, expected in name_tables(skeleton).items():
         found = attribute(name).Get()
-        if found is not None and list(found) != expected[: len(found)]:
+        if found is not None and list(found) != expected:
             raise InputError(
                 f"{path}: kinefilter:{name} are {', '.join(found)[:60]}, expected "
                 f"{', '.join(expected)[:60]}; write the clip again"
