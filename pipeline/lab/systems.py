@@ -17,8 +17,7 @@ from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import Progress, over, silent
 
 from .methods.training_data import TrainingSet
-from .teach import teach
-from .training import training_set
+from .training import teach, training_set
 
 
 @dataclass(frozen=True)

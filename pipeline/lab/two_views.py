@@ -35,8 +35,7 @@ from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .pairing import changed_bones
 from .systems import check_untrained
-from .teach import teach
-from .training import training_set
+from .training import teach, training_set
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)

@@ -23,8 +23,15 @@ from kinefilter.pipeline.workers import workers
 from .doubtful_limbs import hidden_limb_errors
 from .study import Options, Panel, Row, Series, Study, series_of
 from .study_takes import first_person, recorded_people
-from .traces import Trace, trace_study
-from .trial import Group, errors, mean_cm, simulated, trainer_of
+from .trial import (
+    Group,
+    Trace,
+    errors,
+    mean_cm,
+    simulated,
+    trace_study,
+    trainer_of,
+)
 
 _NEW, _KNOWN = "new people", "known people"
 _HEADER = ("new_people_cm", "known_people_cm")

@@ -1,8 +1,8 @@
-"""Training and test data of the papers' systems."""
+"""The papers' systems on trial: training and test data, errors, joints followed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -14,12 +14,13 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.lab.accuracy import Accuracy
+from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
+from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
-from .study import Options
+from .study import Options, Panel, Row, Series, Study
 from .study_takes import clips_of, first_person, performed_by, recorded_people
 
 _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them anyway
@@ -144,3 +145,58 @@ def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
 def mean_cm(*parts: Array) -> float:
     """Return the mean of distances [m], ignoring NaN, in cm."""
     return float(100.0 * np.nanmean(np.concatenate(parts)))
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A joint to follow through a motion."""
+
+    motion: str
+    joint: str
+    """One of ``LIMBS``."""
+    paper: Mapping[str, float | None]
+    """The paper's mean errors [cm]: of ``kinect`` first, then of presets."""
+
+
+def trace_study(
+    options: Options,
+    title: str,
+    traces: Sequence[Trace],
+    *,
+    people: int,
+    sensor: str,
+    standard: bool = False,
+) -> Study:
+    """Return errors of joints, and plot them through a take of a known person.
+
+    ``people`` are in the training data, and a quarter as many are tested. With
+    ``standard``, both motions are brought to standard segment lengths first. Jitter is
+    the mean third difference [m/s^3].
+    """
+    rows, panels = list[Row](), list[Panel]()
+    for trace in traces:
+        groups = simulated(options, [trace.motion], learners=people, sensor=sensor)
+        k, name = LIMBS.index(trace.joint), f"{trace.joint}, {trace.motion}"
+        lines = []
+        _, *presets = trace.paper
+        for n, (system, paper) in enumerate(trace.paper.items()):
+            means, jitters = [], []
+            for group in groups:
+                run, accuracy = group.runners(presets)[n], group.accuracy
+                motions = [run(pair.take) for pair in group.tests]
+                distances = accuracy.standardized if standard else accuracy.distances
+                both = zip(motions, group.tests, strict=True)
+                found = [distances(motion, pair.truth)[:, k] for motion, pair in both]
+                means.append(mean_cm(*found))
+                joint = [motion[:, [accuracy.limbs[k]]] for motion in motions]
+                times = [pair.take.time for pair in group.tests]
+                jitters.append(float(np.mean([*map(jitter, times, joint)])))
+            rows.append((f"{name}, {system}", *means, *jitters, paper))
+            line = 100.0 * np.nan_to_num(found[0])
+            lines.append(Series(system, times[0].tolist(), line.tolist()))
+        panels.append(Panel(f"s, {name}", "error, cm", lines))
+    header = (
+        *("joint, motion, system", "new_cm", "known_cm", "new_jitter"),
+        *("known_jitter", "paper_cm"),
+    )
+    return Study(title, header, rows, panels, across=len(panels))
