@@ -16,7 +16,7 @@ from kinefilter.characters.arrays import Array, Flags, check_choice, check_kind
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import PostureDatabase, builtin_database
+from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.methods import SCORERS, load
 from kinefilter.pipeline.pairs import PairedTake
@@ -104,10 +104,17 @@ def evaluate(
     step = as_step(every)
     folds = [(known, new[::step]) for known, new in _folds(train, test, protocol)]
     tested = [pair for _, new in folds for pair in new]
-    accuracy = Accuracy(tested[0].take.skeleton)
+    skeleton = tested[0].take.skeleton
+    accuracy = Accuracy(skeleton)
     tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for known, new in folds:
-        school = _school(known, new, database, progress)
+        postures = database
+        if isinstance(postures, str):
+            postures = database_from_pairs(over(known, "mocap", progress), skeleton)
+        met = {pair.subject for pair in known} & {pair.subject for pair in new}
+        school = CorrectorFactory(
+            known, skeleton, people=bool(met), database=postures, progress=progress
+        )
         trained = [(system, school.corrector(system)) for system in systems]
         for pair in new:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
@@ -182,24 +189,6 @@ def tally_clips(
         seconds = correct.seconds[-1]
         tally.add(level, clip.positions, seconds, clip.uncertainty, warned=warned)
     return tally
-
-
-def _school(
-    train: list[PairedTake],
-    test: list[PairedTake],
-    database: PostureDatabase | Literal["mocap"] | None,
-    progress: Progress,
-) -> CorrectorFactory:
-    skeleton = test[0].take.skeleton
-    if database is None:
-        database = builtin_database(skeleton)
-    elif isinstance(database, str):
-        database = database_from_pairs(over(train, "mocap", progress), skeleton)
-    known = {pair.subject for pair in train}
-    met = any(pair.subject in known for pair in test)
-    return CorrectorFactory(
-        train, skeleton, people=met, database=database, progress=progress
-    )
 
 
 def _folds(

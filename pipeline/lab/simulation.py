@@ -246,9 +246,9 @@ def pairs_with_props(
 
 
 def truth_of(pair: PairedTake) -> Take:
-    """Return the ground truth of a pair as a take without errors."""
-    state = np.full(pair.take.state.shape, State.TRACKED, dtype=np.uint8)
-    return Take(pair.take.time, pair.truth, state, pair.take.skeleton, pair.clip)
+    """Return the ground truth of a pair as the take of a sensor without errors."""
+    state = np.full_like(pair.take.state, State.TRACKED)
+    return replace(pair.take, positions=pair.truth, state=state)
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:

@@ -21,6 +21,11 @@ the pose it started from.
 """
 
 
+def by_name(*scripts: Script) -> dict[str, Script]:
+    """Return scripts by the names of their functions, without the underscore."""
+    return {script.__name__.removeprefix("_"): script for script in scripts}
+
+
 def stance(puppet: Puppet, rng: Rng, *, wide: float = 0.0) -> Pose:
     """Draw a relaxed standing pose, the feet ``wide`` hip widths farther apart."""
     half = (rng.uniform(0.9, 1.9) + wide) * puppet.hip_width / 2.0

@@ -36,12 +36,9 @@ _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 class DepthImage:
     """An image of a person, with rows from the top, columns from the sensor's left."""
 
-    depth: Array
-    """Distance along the sensor's z axis [m], BACKGROUND without a person, (H, W)."""
-    segments: Indices
-    """Index of the visible segment, -1 without a person, (H, W)."""
-    focal: float
-    """Focal length [pixels of this image]."""
+    depth: Array  # along the z axis [m], BACKGROUND without a person, (H, W)
+    segments: Indices  # index of the visible segment, -1 without a person, (H, W)
+    focal: float  # focal length [pixels of this image]
 
     def rays(self, rows: Indices, columns: Indices) -> Array:
         """Return rays through pixels, in the sensor frame, scaled to z = 1, (N, 3)."""

@@ -43,14 +43,10 @@ _ALONE = 3  # frames whose center would be nearly a recorded posture, and is lef
 class Person:
     """Training frames of one person, or their mirror images."""
 
-    features: Singles
-    """Features of the postures, shape (N, F)."""
-    offsets: Array
-    """Offsets of the known joints [m], flattened, shape (N, 3 M)."""
-    clips: Indices
-    """Index of the clip of each frame, shape (N,)."""
-    noise: float
-    """Variance of the noise in a frame."""
+    features: Singles  # features of the postures, shape (N, F)
+    offsets: Array  # offsets of the known joints [m], flattened, shape (N, 3 M)
+    clips: Indices  # index of the clip of each frame, shape (N,)
+    noise: float  # variance of the noise in a frame
 
 
 def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
@@ -97,8 +93,7 @@ class _Take(NamedTuple):
     offsets: Array
     toward: Array
     time: Array
-    known: Indices
-    """The frames that have ground truth."""
+    known: Indices  # the frames that have ground truth
 
 
 def _take(training: TrainingSet, rows: Indices, features: PostureFeatures) -> _Take:

@@ -55,14 +55,10 @@ _ARRAYS = ("usual", "weights", "intercepts")
 class ClueWeights:
     """Weights of the log odds that a joint is far off, a sum over clues."""
 
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    usual: Array
-    """Mean of each clue in training, shape (J, C)."""
-    weights: Array
-    """Log odds per unit of the clue's difference from its mean, shape (J, C)."""
-    intercepts: Array
-    """Log odds with every clue at its mean, shape (J,)."""
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    usual: Array  # mean of each clue in training, shape (J, C)
+    weights: Array  # log odds per unit of difference from that mean, shape (J, C)
+    intercepts: Array  # log odds with every clue at its mean, shape (J,)
 
     @classmethod
     def even_odds(cls, skeleton: Skeleton) -> Self:

@@ -12,6 +12,7 @@ import numpy as np
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
+from kinefilter.pipeline.lab.systems import CorrectorFactory
 from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.presets import PRESETS
@@ -27,7 +28,6 @@ from .trial import (
     recorded,
     simulated,
     trace_study,
-    trainer_of,
 )
 
 _CHIANG_2_3 = {
@@ -145,7 +145,8 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
     for k, name in enumerate(over(names, "movements", options.progress)):
         own = [pair for pair in clips if pair.movement == name]
         for split, (train, tests) in _splits(own, people[k % len(people)]).items():
-            group = Group(split, tests, trainer_of(train, options))
+            trainer = CorrectorFactory(train, progress=options.progress)
+            group = Group(split, tests, trainer)
             found.setdefault(split, []).extend(arms for _, arms in _arms(group, tests))
     means = {
         split: [mean_cm(*parts) for parts in zip(*takes, strict=True)]

@@ -18,7 +18,7 @@ from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
-from kinefilter.pipeline.lab.systems import System, systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, System, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.reconstruct import MotionPrior
@@ -27,7 +27,7 @@ from kinefilter.pipeline.workers import workers
 
 from .study import Options
 from .study_takes import recorded_people
-from .trial import correction, split, trainer_of
+from .trial import correction, split
 
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
@@ -109,7 +109,7 @@ def _errors_of(
     """Return the errors on one person; None: on late repetitions of all people."""
     train, test = split(people, person, options)
     every, most, guesses = sizes
-    trainer, prior = trainer_of(train, options), train_prior_on(train)
+    trainer, prior = CorrectorFactory(train), train_prior_on(train)
     none = _cleaned(CleanConfig("none", physics=False), None, prior)
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, simulated_pair_of
 from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.lab.systems import systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.workers import workers
@@ -30,7 +30,6 @@ from .trial import (
     mean_cm,
     simulated,
     trace_study,
-    trainer_of,
 )
 
 _NEW, _KNOWN = "new people", "known people"
@@ -238,7 +237,8 @@ def _folds(
     people = list(dict.fromkeys(take.subject for take in takes))
     for k in range(min(_FOLDS, len(people))):
         held_out = np.isin([take.subject for take in takes], people[k::_FOLDS])
-        trainer = trainer_of([*compress(takes, ~held_out)], options)
+        train = compress(takes, ~held_out)
+        trainer = CorrectorFactory(train, progress=options.progress)
         group = Group("new", [*compress(takes, held_out)], trainer)
         yield group, [*compress(labels, held_out)]
 

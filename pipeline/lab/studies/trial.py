@@ -13,7 +13,6 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
@@ -30,8 +29,7 @@ _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them 
 class Group:
     """Takes that systems are tested on, with the systems' training data."""
 
-    people: str
-    """Whether the people are ``new`` to the systems or ``known``."""
+    people: str  # whether the people are new to the systems or known
     tests: list[PairedTake]
     trainer: CorrectorFactory
 
@@ -84,7 +82,8 @@ def simulated(
     testers, progress = max(learners // share, 1), options.progress
 
     record = partial(performed_by, motions=motions, sensor=sensor, progress=progress)
-    trainer = trainer_of(record(range(first, first + learners)), options)
+    learned = record(range(first, first + learners))
+    trainer = CorrectorFactory(learned, progress=progress)
     strangers = record(range(new, new + testers))
     known = record(range(first, first + testers), again=True)
     return [Group("new", strangers, trainer), Group("known", known, trainer)]
@@ -102,7 +101,8 @@ def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Gro
     for person in [*left_out, None] if people else []:
         train, test = split(people, person, options)
         who = "new" if person else "known"
-        yield Group(f"recorded, {who}", test[::every], trainer_of(train, options))
+        trainer = CorrectorFactory(train, progress=options.progress)
+        yield Group(f"recorded, {who}", test[::every], trainer)
 
 
 def split(
@@ -125,18 +125,6 @@ def split(
     return [clip for clip in clips if not is_test(clip)][::_TRAIN_EVERY], test
 
 
-def trainer_of(clips: list[PairedTake], options: Options) -> CorrectorFactory:
-    """Return an object that trains systems on clips, with the built-in database."""
-    skeleton = clips[0].take.skeleton
-    return CorrectorFactory(
-        clips,
-        skeleton,
-        people=False,
-        database=builtin_database(skeleton),
-        progress=options.progress,
-    )
-
-
 def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
     """Return a preset's mean error [cm] by test group; None: that of raw takes."""
     return {group.people: mean_cm(*group.error(preset)) for group in groups}
@@ -152,10 +140,8 @@ class Trace:
     """A joint to follow through a motion."""
 
     motion: str
-    joint: str
-    """One of ``LIMBS``."""
-    paper: Mapping[str, float | None]
-    """The paper's mean errors [cm]: of ``kinect`` first, then of presets."""
+    joint: str  # one of LIMBS
+    paper: Mapping[str, float | None]  # its mean errors [cm]: kinect's, then presets'
 
 
 def trace_study(
