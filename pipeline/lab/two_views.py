@@ -7,8 +7,6 @@ sensors together. Each joint's constant offset in the heading frame is subtracte
 because it depends on the direction from which a sensor sees the joint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ rendering but needs no OpenGL. Everything except the person is removed from the 
 as Kinect's trackers do before they search for joints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

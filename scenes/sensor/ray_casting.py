@@ -4,8 +4,6 @@ Each segment is a MuJoCo mocap body with the segment's capsules, placed where th
 has it. MuJoCo casts the rays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import mujoco

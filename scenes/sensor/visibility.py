@@ -6,8 +6,6 @@ disk hits before the part hides the part; whatever a ray of the ring hits at the
 depth cannot be told apart from it in a depth image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 

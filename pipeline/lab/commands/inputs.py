@@ -1,7 +1,5 @@
 """Inputs of the lab's commands: files in folders, and clips of pairs files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

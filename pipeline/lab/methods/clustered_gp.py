@@ -5,8 +5,6 @@ Gaussian process regression": standardize the joints, predict with a process tra
 cluster centroids of reliable postures, restore limb lengths, undo the standardization.
 """
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 import numpy as np
