@@ -20,8 +20,7 @@ LIMBS = tuple(
 )
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
-FAR = 0.07
-"""Offset-free error [m] above which a joint counts as wrong."""
+FAR = 0.07  # m: offset-free error above which a joint counts as wrong
 MISPLACED = 0.12
 """Offset-free error [m], averaged over half a second, that a clip should warn about."""
 _AVERAGED = 0.5  # s over which that error is averaged

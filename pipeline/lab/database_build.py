@@ -30,10 +30,8 @@ from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool
 
-POSTURES_PER_SECOND = 30.0
-"""Rate [1/s] at which motions are sampled."""
-FILTERED_POSTURES = 2574
-"""Default number of postures that the threshold rule keeps (Shum 2013, table V)."""
+POSTURES_PER_SECOND = 30.0  # at which motions are sampled
+FILTERED_POSTURES = 2574  # kept by default by the threshold rule (Shum 2013, table V)
 BUILTIN_POSTURES = 5000
 """Approximate size of the built-in database: twice that of Shum et al., so that half of
 the postures in real mocap are within 8 cm of one."""

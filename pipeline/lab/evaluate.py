@@ -38,8 +38,7 @@ _ABLATIONS = {
 }
 _FEWEST_FOR_PROCESSES = 100  # cleaned clips from which starting processes pays off
 Protocol = Literal["people", "movements", "repetitions"]
-LEARNED_REPETITIONS = 7
-"""Protocol ``repetitions`` trains on e01 to e07 and tests on the others."""
+LEARNED_REPETITIONS = 7  # protocol repetitions tests on those after e07
 _Fold = tuple[list[PairedTake], list[PairedTake]]  # for training and for testing
 
 

@@ -39,8 +39,7 @@ and 32 % with another repetition by the same person:
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
 _SHARE = 0.5  # of the shorter recording that must overlap the other
-_ANKLE = 0.06
-"""How far up the shank a Kinect places the ankle [m]; chosen on s02, s03 and s04."""
+_ANKLE = 0.06  # m up the shank, where a Kinect places it; from s02, s03 and s04
 _LEAST_MOVED = 0.01  # m: minimum standard deviation of joint distances in a movement
 _SAME_CLOCK = 0.5  # frames by which lags of the same clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10

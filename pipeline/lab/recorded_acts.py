@@ -38,8 +38,7 @@ from kinefilter.scenes.sensor import (
 from .database_build import mocap_body, whole_frames
 from .methods.filters import bridge_gaps
 
-DISTANCE = 2.5
-"""Distance [m] of the people in UI-PRMD from the Kinect."""
+DISTANCE = 2.5  # m: of the people in UI-PRMD from the Kinect
 _SENSOR = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
 index = KINECT_V1.index
 NOT_IN_MOCAP = [index(j) for j in ("Spine", "HandLeft", "HandRight")]

@@ -38,8 +38,7 @@ _HANDLED = (
     ("office", "office"),
 )
 """Scenes, and motions that use their props."""
-_IN_SCENE = dict(reversed(_HANDLED))
-"""Default motion of each scene: the first of those above."""
+_IN_SCENE = dict(reversed(_HANDLED))  # default motion of each scene: the first above
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that would pass through props, or need one."""
 _AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all

@@ -41,8 +41,7 @@ LIMBS = {
     for side in ("Left", "Right")
 }
 """Limbs that are compared, and their joints."""
-FAR = 0.12
-"""Distance [m] from the front sensor's joint beyond which a joint is wrong."""
+FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
 _SPEED = 6.0  # m/s beyond which the front is in doubt

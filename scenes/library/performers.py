@@ -53,8 +53,7 @@ _EXTRA_WIDTH = {
 }
 """Extra distance between the feet, in hip widths, by motion."""
 
-_USUAL_EXTRA_WIDTH = -0.25
-"""The same for all other motions: the feet are 11 to 29 cm apart."""
+_USUAL_EXTRA_WIDTH = -0.25  # of all other motions: the feet are 11 to 29 cm apart
 
 _STAGGERED = {*GESTURES, "dance", "dodge"}
 """Motions that are also performed with one foot in front."""

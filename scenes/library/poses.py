@@ -18,8 +18,7 @@ from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
 Angles = float | tuple[float, float, float]
-LEFT, RIGHT, BOTH = 0, 1, slice(None)
-"""Sides of a pose."""
+LEFT, RIGHT, BOTH = 0, 1, slice(None)  # sides of a pose
 
 _SMOOTHING = 0.05
 """Standard deviation [s] of the blur that rounds the motion at the key poses."""

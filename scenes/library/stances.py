@@ -68,8 +68,7 @@ def alternating(score: Score, rng: Rng, length: float, chance: float) -> Iterato
         yield side
 
 
-ON_HIPS = (0.19, -0.45, 0.05)
-"""Hand on the hip, as ``Puppet.reach`` takes it."""
+ON_HIPS = (0.19, -0.45, 0.05)  # hand on the hip, as Puppet.reach takes it
 _FOLDED = (-0.02, -0.14, 0.26)  # hand in front of the chest, likewise
 
 

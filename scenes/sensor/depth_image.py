@@ -19,8 +19,7 @@ from .geometry import Sensor, in_sensor_frame, in_world_frame, sensor_axes
 from .ray_casting import PosedBody
 from .visibility import own_parts
 
-BACKGROUND = 10.0
-"""Depth [m] of pixels without a person (Shotton et al. 2011: a large constant)."""
+BACKGROUND = 10.0  # m: pixels without a person (Shotton 2011: a large constant)
 _EVERY = 2  # step between rendered pixels, along rows and columns
 _AROUND = 0.3  # m: no skin is farther from every joint
 _REACH = 0.04  # of stature: extent of a joint's skin along a limb, a guess

@@ -16,12 +16,9 @@ from kinefilter.retarget import BoneLengths
 SENSOR_NOISE, LOST_NOISE = 0.01, 0.3
 """Standard deviation [m] of a fully reliable joint (jitter) and of an unreliable one,
 which may be off by a forearm. Guesses."""
-ACCELERATION_DENSITY = 2.5
-"""Spectral density of the acceleration [m^2/s^3]: 5 m/s^2 for a tenth of a second."""
-FIRST_SPEED = 1.0
-"""Standard deviation of the velocity of a joint not seen before [m/s]."""
-LONGEST_PREDICTION = 0.5
-"""Time [s] for which a missing joint keeps its velocity: half of a reaching motion."""
+ACCELERATION_DENSITY = 2.5  # m^2/s^3: 5 m/s^2 for a tenth of a second
+FIRST_SPEED = 1.0  # m/s: standard deviation for a joint not seen before
+LONGEST_PREDICTION = 0.5  # s that a missing joint keeps its velocity: half a reach
 
 _LEAST_STEP = 1e-3  # s, between frames with the same time stamp
 _IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition

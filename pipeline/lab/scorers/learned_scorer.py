@@ -27,8 +27,7 @@ from kinefilter.retarget import measured_body
 
 from .noise_scorer import MEMORY, NoiseReliabilityScorer
 
-FAR_OFF = 0.10
-"""Error [m] relative to the hips above which a joint is far off."""
+FAR_OFF = 0.10  # m relative to the hips above which a joint is far off
 _EVERY = 4  # every fourth frame is used in training; those between add little
 _PENALTY = 1.0  # inverse strength of the penalty on large weights
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])

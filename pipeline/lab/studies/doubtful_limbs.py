@@ -39,10 +39,8 @@ hangs straight down from the first frame on, is missing, or is visible after all
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
 _EVERY = 20  # one in this many clips is tested
-Errors = dict[str, dict[str, float]]
-"""Errors [cm] by method and situation."""
-Turn = tuple[float, float]
-"""Tilt and roll [rad] by which a motion was leveled."""
+Errors = dict[str, dict[str, float]]  # [cm] by method and situation
+Turn = tuple[float, float]  # tilt and roll [rad] by which a motion was leveled
 Runner = Callable[[Take], tuple[Array, Turn]]
 """Function from a take to joint positions [m] and the turn that leveled them."""
 

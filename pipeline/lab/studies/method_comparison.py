@@ -35,8 +35,7 @@ _CUTS = {
     "chiang-2017": 74.7,  # table 2, all samples: mean of its four exercises
 }
 """Reduction of Kinect's error in the papers [%]."""
-_People = dict[str, dict[str, float]]
-"""Errors [cm] of a method, by person and name of the error."""
+_People = dict[str, dict[str, float]]  # errors [cm] by person and name
 
 
 def methods_new_people(

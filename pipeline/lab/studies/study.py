@@ -9,8 +9,7 @@ from rich.table import Table
 
 from kinefilter.pipeline.progress import Progress, silent
 
-Cell = str | int | float | None
-"""A cell of a table; None if it is empty."""
+Cell = str | int | float | None  # of a table; None if it is empty
 Row = tuple[Cell, ...]
 Kind = Literal["line", "bars", "level"]
 """How a series is drawn; a level is a horizontal line across the whole panel."""
