@@ -61,24 +61,12 @@ def evaluate(
     Each method takes the place of the correction stage, and the clip that ``clean``
     then makes is compared with the ground truth. ``none`` corrects nothing.
 
-    Args:
-        train: Clips to train on.
-        test: Clips to test on; by default each person in ``train`` is left out in turn.
-        methods: Names in ``METHODS``; ``systems_of`` explains how to chain them and to
-            set their parameters.
-        protocol: ``people`` tests on people who are not in the training data,
-            ``movements`` on people and movements that are not, and ``repetitions``
-            trains on repetitions e01 to e07 of all clips and tests on the others.
-        presets: Names in ``PRESETS``, likewise.
-        assigned: Parameters of all systems that have them, as NAME=VALUE.
-        physics: Simulate the character, as ``clean`` does.
-        ablation: Also measure methods without some of their parts: ``local-gp``
-            without terms of its energy (Liu 2016, Table 5), and Shum's methods A and B,
-            ``nearest`` and ``no-reliability``, beside ``local-pca``.
-        database: Natural postures for the methods that need them, except ``default``:
-            by default the built-in database, with ``mocap`` that of the training clips.
-        every: Test on every Nth clip only.
-        progress: Wraps the loops, for a progress bar.
+    Arguments are the options of ``kinefilter evaluate``, which explains them, with
+    clips in place of files; ``assigned`` is its ``--set``, and ``every`` tests every
+    Nth clip only. ``database`` is by default the built-in one, and with ``mocap`` made
+    of the training clips. With ``ablation``, ``local-gp`` is also measured without
+    terms of its energy (Liu 2016, Table 5), and Shum's methods A and B, ``nearest``
+    and ``no-reliability``, beside ``local-pca``.
 
     Raises:
         InputError: A method is unknown, or people or repetitions are too few.

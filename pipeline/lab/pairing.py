@@ -23,7 +23,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
-from .accuracy import LIMBS
+from .accuracy import LIMBS, mean_of_known
 from .lags import SHORTEST_FOR_DRIFT, best_lag, distances, find_drift, refine_lag
 from .marker_sets import MarkerSet, joint_centers
 
@@ -84,9 +84,7 @@ class Pairing:
     def varying(self) -> Array:
         """The same after subtracting each joint's mean offset over the take."""
         apart = self.pair.take.positions - self.pair.truth
-        with np.errstate(invalid="ignore"):
-            mean = np.nansum(apart, axis=0) / (~np.isnan(apart)).sum(axis=0)
-        return np.asarray(np.linalg.norm(apart - mean, axis=2))
+        return np.asarray(np.linalg.norm(apart - mean_of_known(apart), axis=2))
 
 
 class _Match(NamedTuple):

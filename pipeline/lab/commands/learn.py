@@ -22,7 +22,7 @@ from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.methods import LEARNED, LearnedName
 from kinefilter.pipeline.presets import PresetName
 
-from .inputs import clips_of, in_folders
+from . import clips_of, in_folders
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
 

@@ -16,7 +16,7 @@ from kinefilter.pipeline.commands.terminal import (
 )
 from kinefilter.pipeline.database import PostureDatabase
 
-from .inputs import clips_of
+from . import clips_of
 
 _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"

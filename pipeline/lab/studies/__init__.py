@@ -38,45 +38,37 @@ _FLOORS = ("characters", "retarget", "scenes", "pipeline")
 _SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")
 _EXCEPT = ("claims.toml",)  # has no effect on what is measured
 
-STUDIES: dict[str, tuple[Callable[..., Study], dict[str, int]]] = {
-    "cleaned-takes": (cleaned_takes, {"count": 2}),
-    "methods-new-people": (
-        method_comparison.methods_new_people,
-        {"count": 2, "movements": 1},
-    ),
-    "methods-known-people": (
-        method_comparison.methods_known_people,
-        {"count": 1, "movements": 1},
-    ),
-    "failures": (detection.failures, {"count": 2, "movements": 1}),
-    "reliability": (detection.reliability, {"takes": 1, "movements": 1}),
-    "held-box": (held_box, {"count": 1}),
-    "speed": (speed, {"rounds": 1}),
-    "million-postures": (million_postures, {"values": 2, "people": 1}),
-    "shum-tables-1-2": (shum.shum_tables_1_2, {"people": 1, "takes": 1}),
-    "shum-table-3": (shum.shum_table_3, {"motions": 1}),
-    "shum-table-4": (shum.shum_table_4, {"takes": 1}),
-    "shum-figure-8": (shum.shum_figure_8, {"motions": 1, "values": 2}),
-    "liu-figure-3": (liu.liu_figure_3, {"people": 2, "values": 2}),
-    "liu-figure-7": (liu.liu_figure_7, {"people": 2, "values": 1}),
-    "liu-figure-8": (liu.liu_figure_8, {"people": 2}),
-    "liu-table-2": (liu.liu_table_2, {"people": 2, "motions": 1}),
-    "liu-table-3": (liu.liu_table_3, {"people": 1, "motions": 1}),
-    "liu-table-4": (liu.liu_table_4, {"people": 2, "motions": 1, "clips": 1}),
-    "liu-table-5": (liu.liu_table_5, {"people": 2, "count": 2, "clips": 2}),
-    "chiang-figure-5": (chiang.chiang_figure_5, {"people": 4, "values": 4}),
-    "chiang-figure-7": (chiang.chiang_figure_7, {"people": 2}),
-    "chiang-table-1": (chiang.chiang_table_1, {"movements": 1}),
-    "chiang-tables-2-3": (
-        chiang.chiang_tables_2_3,
-        {"people": 2, "motions": 1, "count": 1},
-    ),
-    "wang-figure-1": (wang.wang_figure_1, {"frames": 241}),
-    "wang-table-1": (wang.wang_table_1, {"sizes": 2}),
-    "presets": (method_comparison.presets, {"count": 2, "clips": 1}),
-    "tracker-errors": (tracker_studies.tracker_errors, {"clips": 1}),
-    "tracker-lessons": (tracker_studies.tracker_lessons, {"people": 4, "clips": 1}),
-}
+_WITH_QUICK_SIZES: tuple[tuple[Callable[..., Study], dict[str, int]], ...] = (
+    (cleaned_takes, {"count": 2}),
+    (method_comparison.methods_new_people, {"count": 2, "movements": 1}),
+    (method_comparison.methods_known_people, {"count": 1, "movements": 1}),
+    (detection.failures, {"count": 2, "movements": 1}),
+    (detection.reliability, {"takes": 1, "movements": 1}),
+    (held_box, {"count": 1}),
+    (speed, {"rounds": 1}),
+    (million_postures, {"values": 2, "people": 1}),
+    (shum.shum_tables_1_2, {"people": 1, "takes": 1}),
+    (shum.shum_table_3, {"motions": 1}),
+    (shum.shum_table_4, {"takes": 1}),
+    (shum.shum_figure_8, {"motions": 1, "values": 2}),
+    (liu.liu_figure_3, {"people": 2, "values": 2}),
+    (liu.liu_figure_7, {"people": 2, "values": 1}),
+    (liu.liu_figure_8, {"people": 2}),
+    (liu.liu_table_2, {"people": 2, "motions": 1}),
+    (liu.liu_table_3, {"people": 1, "motions": 1}),
+    (liu.liu_table_4, {"people": 2, "motions": 1, "clips": 1}),
+    (liu.liu_table_5, {"people": 2, "count": 2, "clips": 2}),
+    (chiang.chiang_figure_5, {"people": 4, "values": 4}),
+    (chiang.chiang_figure_7, {"people": 2}),
+    (chiang.chiang_table_1, {"movements": 1}),
+    (chiang.chiang_tables_2_3, {"people": 2, "motions": 1, "count": 1}),
+    (wang.wang_figure_1, {"frames": 241}),
+    (wang.wang_table_1, {"sizes": 2}),
+    (method_comparison.presets, {"count": 2, "clips": 1}),
+    (tracker_studies.tracker_errors, {"clips": 1}),
+    (tracker_studies.tracker_lessons, {"people": 4, "clips": 1}),
+)
+STUDIES = {run.__name__.replace("_", "-"): (run, q) for run, q in _WITH_QUICK_SIZES}
 """Each study by its name on the command line, and sizes for a quick run."""
 
 

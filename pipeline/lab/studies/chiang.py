@@ -119,8 +119,7 @@ def _arm_errors(chosen: Sequence[Flags], takes: Sequence[list[Array]]) -> list[f
 def _unreliable(pair: PairedTake) -> Flags:
     """Return the frames in which the upper body scores as unreliable, shape (T,)."""
     skeleton = pair.take.skeleton
-    names = [part + side for part in _ARM for side in ("Left", "Right")]
-    joints = [skeleton.girdle, *map(skeleton.index, names)]
+    joints = [skeleton.girdle, *(j for part in _ARM for j in skeleton.sides(part))]
     reliability = observed(pair, CleanConfig(preset="chiang-2017")).reliability
     limit = PRESETS["chiang-2017"].settings["smallest_reliability"]
     return np.asarray((reliability[:, joints] <= limit).any(axis=1))

@@ -13,7 +13,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.lab.accuracy import FAR, LIMBS
+from kinefilter.pipeline.lab.accuracy import FAR, LIMBS, mean_of_known
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
@@ -217,9 +217,8 @@ def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[Paired
 
 def _without_offsets(pair: PairedTake) -> PairedTake:
     """Return the take as recorded without each joint's constant offset."""
-    errors = pair.take.positions - pair.truth
-    count = np.maximum((~np.isnan(errors)).sum(axis=0), 1)
-    positions = pair.take.positions - np.nansum(errors, axis=0) / count
+    offsets = mean_of_known(pair.take.positions - pair.truth)
+    positions = pair.take.positions - np.nan_to_num(offsets)
     return replace(pair, take=replace(pair.take, positions=positions))
 
 
