@@ -22,6 +22,7 @@ from kinefilter.pipeline.lab.studies import (
     wang,
 )
 from kinefilter.pipeline.lab.studies.study import Options
+from kinefilter.pipeline.lab.systems import CorrectorFactory
 from kinefilter.pipeline.presets import PRESETS
 
 
@@ -186,7 +187,7 @@ def test_a_joint_is_followed_in_takes_of_both_groups(
         return moved
 
     def groups(*_: object, **__: object) -> list[trial.Group]:
-        trainer = trial.trainer_of([pair], Options())
+        trainer = CorrectorFactory([pair])
         return [trial.Group(who, [pair], trainer) for who in ("new", "known")]
 
     def runners(_: trial.Group, presets: list[str]) -> list[Callable[[Take], Array]]:

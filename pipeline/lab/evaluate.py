@@ -87,7 +87,7 @@ def evaluate(
     methods = [*methods, *(part for part in parts if part not in methods)]
     systems = systems_of(methods, presets, assigned, physics=physics)
     step = as_step(every)
-    folds = [(known, new[::step]) for known, new in _folds(train, test, protocol)]
+    folds = [(known, new[::step]) for known, new in folds_of(train, test, protocol)]
     tested = [pair for _, new in folds for pair in new]
     skeleton = tested[0].take.skeleton
     accuracy = Accuracy(skeleton)
@@ -176,9 +176,10 @@ def tally_clips(
     return tally
 
 
-def _folds(
-    train: Sequence[PairedTake], test: Sequence[PairedTake], protocol: str
+def folds_of(
+    train: Sequence[PairedTake], test: Sequence[PairedTake], protocol: Protocol
 ) -> Iterator[_Fold]:
+    """Yield clips for training and for testing, as ``evaluate`` explains."""
     if protocol == "repetitions":
         pairs = [*train, *test]
         early = [p for p in pairs if repetition(p) <= LEARNED_REPETITIONS]

@@ -12,7 +12,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
-from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
+from kinefilter.pipeline.lab.evaluate import folds_of
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
@@ -95,32 +95,26 @@ def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Gro
     none.
     """
     people = recorded_people(options.data)[:count] if options.data else []
-    left_out = people if len(people) > 1 else []
-    for person in [*left_out, None] if people else []:
-        train, test = split(people, person, options)
-        who = "new" if person else "known"
+    for who, train, test in recorded_folds(people, options):
         trainer = CorrectorFactory(train, progress=options.progress)
         yield Group(f"recorded, {who}", test[::every], trainer)
 
 
-def split(
-    people: Sequence[str], person: str | None, options: Options
-) -> tuple[list[PairedTake], list[PairedTake]]:
-    """Return training clips, every fourth of those available, and test clips.
+def recorded_folds(
+    people: Sequence[str], options: Options
+) -> Iterator[tuple[str, list[PairedTake], list[PairedTake]]]:
+    """Yield ``new`` or ``known``, training clips and test clips of recorded people.
 
-    The test clips are those of one person, and the training clips those of the others.
-    If ``person`` is None, training uses repetitions 1 to 7 of all people, and testing 8
-    to 10.
+    First the clips of each person, with those of the others for training, then
+    repetitions 8 to 10 of all, with 1 to 7 for training: every fourth in each case.
     """
     clips = clips_of(people, 10, options)
-
-    def is_test(pair: PairedTake) -> bool:
-        if person is None:
-            return repetition(pair) > LEARNED_REPETITIONS
-        return pair.subject == person
-
-    test = [clip for clip in clips if is_test(clip)]
-    return [clip for clip in clips if not is_test(clip)][::_TRAIN_EVERY], test
+    if len(people) > 1:
+        for train, test in folds_of(clips, (), "people"):
+            yield "new", train[::_TRAIN_EVERY], test
+    if people:
+        for train, test in folds_of(clips, (), "repetitions"):
+            yield "known", train[::_TRAIN_EVERY], test
 
 
 def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
