@@ -65,20 +65,11 @@ def simulate(
 ) -> PairedTake:
     """Return the take of a virtual Kinect of a motion in a scene, with ground truth.
 
-    Args:
-        scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``, or the path of a mocap file.
-        sensor: One of ``SENSORS``.
-        skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
-            Kinect, that of Kinect v2).
-        seed: Seed of the person, the performance and the sensor's errors.
-        person: Seed of the person and of the sensor's constant errors for them; by
-            default ``seed``.
-        stay_in_view: Walk in circles within the sensor's view. By default gaits go
-            straight and leave the view, as in the takes behind the embedded weights
-            and the published figures; studies and training keep this default. Other
-            motions are unaffected.
-        tracker: How joints are found: ``model``, or ``depth`` from depth images.
+    Arguments are those of ``kinefilter simulate``, which explains them. ``person`` is
+    the seed of the person and of the sensor's constant errors for them, by default
+    ``seed``. With ``stay_in_view`` people walk in circles within the sensor's view; by
+    default gaits go straight and leave it, as in the takes behind the embedded weights
+    and the published figures: studies and training keep this default.
 
     Raises:
         InputError: The scene, motion, sensor, skeleton or tracker is unknown.
