@@ -7,6 +7,8 @@ that follow the errors of position (``tracker_errors``) and the tracking states
 (``depth_tracker``), so its errors arise as those of a real tracker do.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, get_args
