@@ -227,7 +227,7 @@ def test_recordings_are_looked_for_where_they_are_kept(
 def test_a_picture_that_cannot_be_made_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(output, "_animate", refuse)

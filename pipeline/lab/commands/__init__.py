@@ -7,6 +7,8 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over
 
+__all__ = ["clips_of", "in_folders"]
+
 
 def clips_of(files: Sequence[Path], progress: Progress) -> Iterator[PairedTake]:
     """Yield the clips of pairs files, with one file in memory at a time."""

@@ -1,1 +1,3 @@
 """Correction methods of the papers and in common use today, for comparison."""
+
+__all__: list[str] = []

@@ -1,1 +1,3 @@
 """Reliability scorers for comparison with the default one."""
+
+__all__: list[str] = []
