@@ -68,7 +68,7 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
 
 
 def shipped_model(skeleton: Skeleton) -> Corrector:
-    """Return the shipped corrector (from ``lab.teach``) for a skeleton."""
+    """Return the shipped corrector (from ``lab.training``) for a skeleton."""
     path = Path(__file__).with_name("embedded") / "learned.npz"
     learned = load_model(path).corrector
     return learned.from_arrays(skeleton, learned.arrays())

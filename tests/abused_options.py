@@ -26,7 +26,7 @@ import kinefilter
 from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.cli import _command
 from kinefilter.pipeline.commands import live
-from kinefilter.pipeline.lab import bench, scripted_database, simulation, studies, teach
+from kinefilter.pipeline.lab import bench, database_build, simulation, studies, training
 from kinefilter.pipeline.lab.commands.learn import DatabaseBuild, DatabaseInfo
 from kinefilter.pipeline.look.player import Player
 from kinefilter.pipeline.look.viewer import Viewer
@@ -376,8 +376,8 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
             (simulation, name, partial(getattr(simulation, name), people=2))
             for name in ("simulated_pairs", "pairs_with_props")
         ),
-        (scripted_database, "MOTIONS", MOTIONS[:2]),
-        (teach, "_SIMULATED", 2),
+        (database_build, "MOTIONS", MOTIONS[:2]),
+        (training, "_SIMULATED", 2),
         (bench, "_TAKES_PER_CORE", 1),
         (studies, "make_pictures", lambda *_, **__: ()),
         *(((batch_run, "open_crew", Here),) if alone else ()),

@@ -27,9 +27,10 @@ from rich.console import Console
 from kinefilter.characters import KINECT_V1, State, Take
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
-from kinefilter.pipeline.lab.database_build import FILTERED_POSTURES, mocap_postures
-from kinefilter.pipeline.lab.scripted_database import (
+from kinefilter.pipeline.lab.database_build import (
     BUILTIN_POSTURES,
+    FILTERED_POSTURES,
+    mocap_postures,
     scripted_postures,
 )
 from kinefilter.pipeline.lab.training import training_set

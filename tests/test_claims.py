@@ -156,7 +156,9 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     monkeypatch.setattr(f"{studies}.STUDIES", {"small": STUDIES["speed"]})
     monkeypatch.setattr(f"{studies}.check_names", lambda _: None)
     monkeypatch.setattr(f"{studies}.reproduce", measured)
-    monkeypatch.setattr(f"{studies}.make_pictures", lambda *_, **__: iter(["drawn"]))
+    monkeypatch.setattr(
+        f"{studies}.output.make_pictures", lambda *_, **__: iter(["drawn"])
+    )
     monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM])
     arguments = ["reproduce", "--all", str(tmp_path / "all")]
     assert main(arguments) == 0
@@ -225,7 +227,7 @@ def test_recordings_are_looked_for_where_they_are_kept(
 def test_a_picture_that_cannot_be_made_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(output, "_animate", refuse)

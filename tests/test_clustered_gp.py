@@ -13,7 +13,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
-from kinefilter.pipeline.lab.methods.clustered_gp import BoneWalk, ClusteredGP
+from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
+from kinefilter.pipeline.lab.methods.filters import BoneWalk
 from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 
 Array = NDArray[np.float64]

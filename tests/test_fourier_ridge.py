@@ -25,8 +25,10 @@ from kinefilter.pipeline.correct.random_features import RandomFeatures
 from kinefilter.pipeline.factory import make_corrector, shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
-from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
-from kinefilter.pipeline.lab.methods.ridge import people_in
+from kinefilter.pipeline.lab.methods.fourier_ridge_learner import (
+    FourierRidgeLearner,
+    people_in,
+)
 from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.models import Model, save_model

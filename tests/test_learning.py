@@ -22,7 +22,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
-from kinefilter.pipeline.lab import teach
+from kinefilter.pipeline.lab import training
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate, repetition
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
@@ -73,8 +73,8 @@ def pairs() -> list[PairedTake]:
 @pytest.fixture(autouse=True)
 def _only_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulating people takes longer than what is tested here."""
-    monkeypatch.setattr(teach, "_SIMULATED", 0)
-    teach._simulated.cache_clear()
+    monkeypatch.setattr(training, "_SIMULATED", 0)
+    training._simulated.cache_clear()
 
 
 @pytest.fixture(scope="module")

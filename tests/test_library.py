@@ -27,9 +27,9 @@ from kinefilter.characters import (
 from kinefilter.characters.rotations import inverse, rotate
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.lab.database_build import database_from_mocap
-from kinefilter.pipeline.lab.scripted_database import (
+from kinefilter.pipeline.lab.database_build import (
     BUILTIN_POSTURES,
+    database_from_mocap,
     scripted_database,
 )
 from kinefilter.retarget import find_yaw

@@ -18,11 +18,11 @@ from kinefilter.pipeline.lab.studies import (
     method_comparison,
     reproduce,
     shum,
-    traces,
     trial,
     wang,
 )
 from kinefilter.pipeline.lab.studies.study import Options
+from kinefilter.pipeline.lab.systems import CorrectorFactory
 from kinefilter.pipeline.presets import PRESETS
 
 
@@ -187,17 +187,17 @@ def test_a_joint_is_followed_in_takes_of_both_groups(
         return moved
 
     def groups(*_: object, **__: object) -> list[trial.Group]:
-        trainer = trial.trainer_of([pair], Options())
+        trainer = CorrectorFactory([pair])
         return [trial.Group(who, [pair], trainer) for who in ("new", "known")]
 
     def runners(_: trial.Group, presets: list[str]) -> list[Callable[[Take], Array]]:
         assert presets == ["a preset"]
         return [lambda take: take.positions, off]
 
-    monkeypatch.setattr(traces, "simulated", groups)
+    monkeypatch.setattr(trial, "simulated", groups)
     monkeypatch.setattr(trial.Group, "runners", runners)
-    trace = traces.Trace("wave", "WristLeft", {"kinect": 9.0, "a preset": 3.0})
-    study = traces.trace_study(Options(), "Made up", [trace], people=4, sensor="v1")
+    trace = trial.Trace("wave", "WristLeft", {"kinect": 9.0, "a preset": 3.0})
+    study = trial.trace_study(Options(), "Made up", [trace], people=4, sensor="v1")
     raw, moved = study.rows
     assert moved[0] == "WristLeft, wave, a preset"
     assert moved[1:3] == (pytest.approx(10.0), pytest.approx(10.0))

@@ -16,7 +16,7 @@ from viewing import ended, viewing
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.lab import bench, teach
+from kinefilter.pipeline.lab import bench, training
 
 ROOT = Path(__file__).parents[1]
 
@@ -42,11 +42,11 @@ def _commands(file: str = "README.md") -> list[str]:
 @pytest.fixture
 def little(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let commands of the lab measure and learn from less than they do for users."""
-    monkeypatch.setattr(teach, "_SIMULATED", 4)
+    monkeypatch.setattr(training, "_SIMULATED", 4)
     monkeypatch.setattr(bench, "_TAKES_PER_CORE", 1)
-    teach._simulated.cache_clear()
+    training._simulated.cache_clear()
     yield
-    teach._simulated.cache_clear()
+    training._simulated.cache_clear()
 
 
 @pytest.mark.usefixtures("interruptible", "little")

@@ -19,9 +19,8 @@ from kinefilter.pipeline.lab.studies import (
     Study,
     output,
     reproduce,
-    write_study,
 )
-from kinefilter.pipeline.lab.studies.corrected import bone_errors
+from kinefilter.pipeline.lab.studies.shum import bone_errors
 from kinefilter.pipeline.lab.studies.study import Options, Panel, Series
 from kinefilter.pipeline.lab.studies.study_takes import (
     CLASSES,
@@ -93,7 +92,7 @@ def test_what_was_recorded_is_wrong_and_the_truth_is_not() -> None:
 
 
 def test_nobody_of_a_study_taught_the_database_or_another_class() -> None:
-    from kinefilter.pipeline.lab import scripted_database
+    from kinefilter.pipeline.lab import database_build
 
     seen = [
         int(pair.clip[-4:])
@@ -101,7 +100,7 @@ def test_nobody_of_a_study_taught_the_database_or_another_class() -> None:
         for pair in study_takes(kind, Options(), count=2)
     ]
     assert len(set(seen)) == len(seen)
-    assert min(seen) >= scripted_database._PEOPLE
+    assert min(seen) >= database_build._PEOPLE
     assert max(seen) < first_person(0, learners=True) < first_person(1)
 
 
@@ -129,7 +128,7 @@ def test_quick_studies_take_less_of_what_there_is() -> None:
 
 
 def test_a_study_becomes_a_table_and_a_plot(tmp_path: Path) -> None:
-    table, plot = write_study("small", SMALL, tmp_path / "new")
+    table, plot = output.write_study("small", SMALL, tmp_path / "new")
     with table.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     assert rows == [[*SMALL.columns], ["one", "1.25", ""], ["two", "3", "4.5"]]
@@ -147,7 +146,7 @@ def test_an_interrupted_study_leaves_what_was_there(
     (tmp_path / "small.csv").write_text("old", encoding="utf-8")
     monkeypatch.setattr(output, "draw", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_study("small", SMALL, tmp_path)
+        output.write_study("small", SMALL, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["small.csv"]
     assert (tmp_path / "small.csv").read_text(encoding="utf-8") == "old"
 
@@ -177,7 +176,7 @@ def test_without_matplotlib_nothing_is_computed(
     assert main(["reproduce", "reliability", "-o", str(tmp_path / "s")]) == 2
     assert 'pip install "kinefilter[reproduce]"' in capsys.readouterr().err
     with pytest.raises(InputError, match="matplotlib"):
-        write_study("small", SMALL, tmp_path)
+        output.write_study("small", SMALL, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab import teach
+from kinefilter.pipeline.lab import training
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.two_views import LIMBS
 from kinefilter.retarget import HeadingFrame
@@ -69,8 +69,8 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
     session: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two people beside a sensor, and somebody with markers."""
-    monkeypatch.setattr(teach, "_SIMULATED", 0)
-    teach._simulated.cache_clear()
+    monkeypatch.setattr(training, "_SIMULATED", 0)
+    training._simulated.cache_clear()
     for person in ("ann", "bob"):
         name = f"{person}_90deg_wave"
         for file, end in zip((*session[:2], session[3]), ("_A", "_B", ""), strict=True):
@@ -91,7 +91,7 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
     options = ["--train", str(marked), "--methods", "learned", "--no-physics"]
     views = ["--views", str(tmp_path), *options, "--json", str(out)]
     assert main(["evaluate", *views]) == 0
-    teach._simulated.cache_clear()
+    training._simulated.cache_clear()
     assert taught == [("bob",), ("ann",)]
     for found in json.loads(out.read_text("utf-8"))["sessions"]:
         for limb in LIMBS:

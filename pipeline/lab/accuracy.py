@@ -20,8 +20,7 @@ LIMBS = tuple(
 )
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
-FAR = 0.07
-"""Offset-free error [m] above which a joint counts as wrong."""
+FAR = 0.07  # m: offset-free error above which a joint counts as wrong
 MISPLACED = 0.12
 """Offset-free error [m], averaged over half a second, that a clip should warn about."""
 _AVERAGED = 0.5  # s over which that error is averaged
@@ -54,7 +53,7 @@ class Accuracy:
         This is the error that an animator sees as wrong motion.
         """
         away = self.away(positions, truth)
-        return np.asarray(np.linalg.norm(away - _mean_of_known(away), axis=2))
+        return np.asarray(np.linalg.norm(away - mean_of_known(away), axis=2))
 
     def away(self, positions: Array, truth: Array) -> Array:
         """Return error vectors of limb joints [m], NaN where unknown, (T, 12, 3)."""
@@ -83,7 +82,7 @@ class Accuracy:
         return standard
 
 
-def _mean_of_known(values: Array) -> Array:
+def mean_of_known(values: Array) -> Array:
     """Return means over the first axis without NaN; NaN where all are."""
     return np.asarray(np.ma.masked_invalid(values).mean(axis=0).filled(np.nan))
 
@@ -215,10 +214,10 @@ class Tally:
             known = [x for each in people.values() if (x := each[key]) is not None]
             means[key] = float(np.mean(known)) if known else None
         each_joint = [
-            _mean_of_known(np.concatenate(person.distances)) * 100
+            mean_of_known(np.concatenate(person.distances)) * 100
             for person in self._people.values()
         ]
-        joints = zip(LIMBS, _mean_of_known(np.array(each_joint)), strict=True)
+        joints = zip(LIMBS, mean_of_known(np.array(each_joint)), strict=True)
         clips = [clip for person in self._people.values() for clip in person.misplaced]
         return {
             **means,

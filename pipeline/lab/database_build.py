@@ -1,4 +1,4 @@
-"""Builds posture databases from mocap files or from the mocap in pairs."""
+"""Builds posture databases from mocap files, pairs, or scripted motions."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ from kinefilter.retarget.orientation import (
     fill_missing_joints,
     rotations_from_positions,
 )
+from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool
 
-POSTURES_PER_SECOND = 30.0
-"""Rate [1/s] at which motions are sampled."""
-FILTERED_POSTURES = 2574
-"""Default number of postures that the threshold rule keeps (Shum 2013, table V)."""
+POSTURES_PER_SECOND = 30.0  # at which motions are sampled
+FILTERED_POSTURES = 2574  # kept by default by the threshold rule (Shum 2013, table V)
+BUILTIN_POSTURES = 5000
+"""Approximate size of the built-in database: twice that of Shum et al., so that half of
+the postures in real mocap are within 8 cm of one."""
+_PEOPLE = 6  # who perform it
 _PAIRS_STEP = 2  # frames between samples of pairs; the filter drops more than that
 _T_POSE_TOLERANCE = np.radians(25.0)
 
@@ -103,6 +106,35 @@ def _truths(
         seen = np.where(missing[..., None], np.nan, truth)
         body = measure_body(Take(time, seen, state, skeleton, pair.take.source))
         yield pair.clip, *standard_postures(seen, None, body)
+
+
+def scripted_database(
+    skeleton: Skeleton, progress: Progress = silent
+) -> PostureDatabase:
+    """Perform every scripted motion and keep postures that differ.
+
+    The result ships in ``pipeline/embedded`` as the built-in database.
+    """
+    parts = scripted_postures(skeleton, progress)
+    return filtered_database(
+        parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
+    )
+
+
+def scripted_postures(
+    skeleton: Skeleton, progress: Progress = silent, *, people: int = _PEOPLE
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield the name, postures and segment rotations of every scripted performance.
+
+    The performers differ in height and build; the postures are on the standard body, 30
+    a second.
+    """
+    # All motions by one person, then by the next: the filter keeps earlier postures.
+    for k in progress("motion database", people * len(MOTIONS)):
+        seed, name = k // len(MOTIONS), MOTIONS[k % len(MOTIONS)]
+        body = random_body(skeleton, np.random.default_rng(seed))
+        act = perform(name, body, seed=seed, fps=POSTURES_PER_SECOND)
+        yield name, *standard_postures(act.positions, act.rotations, body)
 
 
 def filtered_database(

@@ -16,7 +16,7 @@ from kinefilter.characters.arrays import Array, Flags, check_choice, check_kind
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import PostureDatabase, builtin_database
+from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.methods import SCORERS, load
 from kinefilter.pipeline.pairs import PairedTake
@@ -40,8 +40,7 @@ _ABLATIONS = {
 }
 _FEWEST_FOR_PROCESSES = 100  # cleaned clips from which starting processes pays off
 Protocol = Literal["people", "movements", "repetitions"]
-LEARNED_REPETITIONS = 7
-"""Protocol ``repetitions`` trains on e01 to e07 and tests on the others."""
+LEARNED_REPETITIONS = 7  # protocol repetitions tests on those after e07
 _Fold = tuple[list[PairedTake], list[PairedTake]]  # for training and for testing
 
 
@@ -64,24 +63,12 @@ def evaluate(
     Each method takes the place of the correction stage, and the clip that ``clean``
     then makes is compared with the ground truth. ``none`` corrects nothing.
 
-    Args:
-        train: Clips to train on.
-        test: Clips to test on; by default each person in ``train`` is left out in turn.
-        methods: Names in ``METHODS``; ``systems_of`` explains how to chain them and to
-            set their parameters.
-        protocol: ``people`` tests on people who are not in the training data,
-            ``movements`` on people and movements that are not, and ``repetitions``
-            trains on repetitions e01 to e07 of all clips and tests on the others.
-        presets: Names in ``PRESETS``, likewise.
-        assigned: Parameters of all systems that have them, as NAME=VALUE.
-        physics: Simulate the character, as ``clean`` does.
-        ablation: Also measure methods without some of their parts: ``local-gp``
-            without terms of its energy (Liu 2016, Table 5), and Shum's methods A and B,
-            ``nearest`` and ``no-reliability``, beside ``local-pca``.
-        database: Natural postures for the methods that need them, except ``default``:
-            by default the built-in database, with ``mocap`` that of the training clips.
-        every: Test on every Nth clip only.
-        progress: Wraps the loops, for a progress bar.
+    Arguments are the options of ``kinefilter evaluate``, which explains them, with
+    clips in place of files; ``assigned`` is its ``--set``, and ``every`` tests every
+    Nth clip only. ``database`` is by default the built-in one, and with ``mocap`` made
+    of the training clips. With ``ablation``, ``local-gp`` is also measured without
+    terms of its energy (Liu 2016, Table 5), and Shum's methods A and B, ``nearest``
+    and ``no-reliability``, beside ``local-pca``.
 
     Raises:
         InputError: A method is unknown, or people or repetitions are too few.
@@ -102,12 +89,19 @@ def evaluate(
     methods = [*methods, *(part for part in parts if part not in methods)]
     systems = systems_of(methods, presets, assigned, physics=physics)
     step = as_step(every)
-    folds = [(known, new[::step]) for known, new in _folds(train, test, protocol)]
+    folds = [(known, new[::step]) for known, new in folds_of(train, test, protocol)]
     tested = [pair for _, new in folds for pair in new]
-    accuracy = Accuracy(tested[0].take.skeleton)
+    skeleton = tested[0].take.skeleton
+    accuracy = Accuracy(skeleton)
     tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for known, new in folds:
-        school = _school(known, new, database, progress)
+        postures = database
+        if isinstance(postures, str):
+            postures = database_from_pairs(over(known, "mocap", progress), skeleton)
+        met = {pair.subject for pair in known} & {pair.subject for pair in new}
+        school = CorrectorFactory(
+            known, skeleton, people=bool(met), database=postures, progress=progress
+        )
         trained = [(system, school.corrector(system)) for system in systems]
         for pair in new:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
@@ -184,27 +178,10 @@ def tally_clips(
     return tally
 
 
-def _school(
-    train: list[PairedTake],
-    test: list[PairedTake],
-    database: PostureDatabase | Literal["mocap"] | None,
-    progress: Progress,
-) -> CorrectorFactory:
-    skeleton = test[0].take.skeleton
-    if database is None:
-        database = builtin_database(skeleton)
-    elif isinstance(database, str):
-        database = database_from_pairs(over(train, "mocap", progress), skeleton)
-    known = {pair.subject for pair in train}
-    met = any(pair.subject in known for pair in test)
-    return CorrectorFactory(
-        train, skeleton, people=met, database=database, progress=progress
-    )
-
-
-def _folds(
-    train: Sequence[PairedTake], test: Sequence[PairedTake], protocol: str
+def folds_of(
+    train: Sequence[PairedTake], test: Sequence[PairedTake], protocol: Protocol
 ) -> Iterator[_Fold]:
+    """Yield clips for training and for testing, as ``evaluate`` explains."""
     if protocol == "repetitions":
         pairs = [*train, *test]
         early = [p for p in pairs if repetition(p) <= LEARNED_REPETITIONS]

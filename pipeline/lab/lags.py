@@ -17,8 +17,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.merge.lag import Clock, Track, correlations, with_drift
 from kinefilter.pipeline.merge.rigid import SIGMA, placement
 
-SHORTEST_FOR_DRIFT = 20.0
-"""Least overlap of the recordings [s] for estimating drift. A guess."""
+SHORTEST_FOR_DRIFT = 20.0  # s: least overlap for estimating drift. A guess.
 _RATE = 60.0  # Hz, grid of the correlation
 _WINDOW, _HOP = 5.0, 2.5  # s, windows in which the lag is found to estimate drift
 _MARGIN = 0.25  # s by which a window's lag may differ from that of the recording

@@ -15,8 +15,7 @@ from kinefilter.pipeline.edits import LIMBS
 from kinefilter.pipeline.reconstruct.continuity import REFERENCE_RATE, bridge
 from kinefilter.retarget import HeadingFrame, find_yaw
 
-HIDDEN = dict(LIMBS)
-"""Joints that are hidden with each limb."""
+HIDDEN = dict(LIMBS)  # joints that are hidden with each limb
 HIDDEN["hand"] = HIDDEN["wrist"] = HIDDEN["right-hand"]
 Guess = Literal["none", "drift", "hang", "jitter"]
 SIMPLE = ("hold", "slerp", "spline")

@@ -25,7 +25,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
-from .accuracy import LIMBS
+from .accuracy import LIMBS, mean_of_known
 from .lags import SHORTEST_FOR_DRIFT, best_lag, distances, find_drift, refine_lag
 from .marker_sets import MarkerSet, joint_centers
 
@@ -41,8 +41,7 @@ and 32 % with another repetition by the same person:
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
 _SHARE = 0.5  # of the shorter recording that must overlap the other
-_ANKLE = 0.06
-"""How far up the shank a Kinect places the ankle [m]; chosen on s02, s03 and s04."""
+_ANKLE = 0.06  # m up the shank, where a Kinect places it; from s02, s03 and s04
 _LEAST_MOVED = 0.01  # m: minimum standard deviation of joint distances in a movement
 _SAME_CLOCK = 0.5  # frames by which lags of the same clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10
@@ -87,9 +86,7 @@ class Pairing:
     def varying(self) -> Array:
         """The same after subtracting each joint's mean offset over the take."""
         apart = self.pair.take.positions - self.pair.truth
-        with np.errstate(invalid="ignore"):
-            mean = np.nansum(apart, axis=0) / (~np.isnan(apart)).sum(axis=0)
-        return np.asarray(np.linalg.norm(apart - mean, axis=2))
+        return np.asarray(np.linalg.norm(apart - mean_of_known(apart), axis=2))
 
 
 class _Match(NamedTuple):

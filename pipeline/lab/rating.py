@@ -30,8 +30,7 @@ from kinefilter.pipeline.look.page import facing, millimeters, packed, write_pag
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.target.floor import leveled
 
-HIGHEST = 9
-"""Best grade; the worst is 1."""
+HIGHEST = 9  # best grade; the worst is 1
 
 _CLIPS = (*WHOLE_CLIPS, ".bvh", ".bvh.gz")
 _FILES = (*_CLIPS, ".csv", ".csv.gz", ".skeleton")  # CSV and .skeleton may be takes
@@ -44,8 +43,7 @@ _HEAD, _LEAST = 150.0, 1500.0  # mm: margin above the head joint, least view hei
 _TURNED = 0.35  # rad off the frontal view, to show depth
 _TEMPLATE = Path(__file__).parent / "template"
 
-Motions = dict[str, Path]
-"""Files of a system, by motion."""
+Motions = dict[str, Path]  # files of a system, by motion
 Trial = tuple[tuple[int, int], ...]
 """Clips that are shown and graded at once, as (motion, system), left to right."""
 

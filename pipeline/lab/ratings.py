@@ -27,10 +27,8 @@ from kinefilter.pipeline.formats.plain import counted, printable
 from .rating import HIGHEST
 
 Figures = dict[str, Any]
-Answer = tuple[tuple[int, ...], tuple[int, ...]]
-"""Clips of a trial, as indices into the key, and their grades."""
-Raters = dict[str, list[Answer]]
-"""Answers, by rater."""
+Answer = tuple[tuple[int, ...], tuple[int, ...]]  # clips of a trial in the key, grades
+Raters = dict[str, list[Answer]]  # answers, by rater
 
 _LARGEST = 2**24  # bytes of answers, or of a key
 _LEVEL = 0.95

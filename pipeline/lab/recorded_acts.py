@@ -38,9 +38,9 @@ from kinefilter.scenes.sensor import (
 )
 
 from .database_build import mocap_body, whole_frames
+from .methods.filters import bridge_gaps
 
-DISTANCE = 2.5
-"""Distance [m] of the people in UI-PRMD from the Kinect."""
+DISTANCE = 2.5  # m: of the people in UI-PRMD from the Kinect
 _SENSOR = Sensor(distance=DISTANCE, dropped_share=0.0, stamp_jitter=0.0)
 index = KINECT_V1.index
 NOT_IN_MOCAP = [index(j) for j in ("Spine", "HandLeft", "HandRight")]
@@ -54,10 +54,8 @@ class Pair:
     clip: str
     kinect: Array
     mocap: Array
-    act: Motion
-    """The mocap on a body of constant segment lengths."""
-    inferred: Flags | None = None
-    """Joints that a simulated tracker does not report as tracked, (T, 20)."""
+    act: Motion  # the mocap on a body of constant segment lengths
+    inferred: Flags | None = None  # by a simulated tracker, (T, 20)
 
     @property
     def error(self) -> Array:
@@ -135,13 +133,7 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
 
 def _completed(mocap: Array) -> Array:
     """Fill gaps linearly, and add the spine and the hands by fixed proportions."""
-    flat = mocap.reshape(len(mocap), -1).copy()
-    rows = np.arange(len(flat))
-    for column in flat.T:
-        known = np.isfinite(column)
-        if known.any():
-            column[:] = np.interp(rows, rows[known], column[known])
-    filled = flat.reshape(mocap.shape)
+    filled = bridge_gaps(np.arange(len(mocap), dtype=float), mocap)
     trunk = filled[:, index("HipCenter")], filled[:, index("ShoulderCenter")]
     filled[:, index("Spine")] = 0.45 * trunk[0] + 0.55 * trunk[1]
     sides = KINECT_V1.sides

@@ -40,8 +40,7 @@ _HANDLED = (
     ("office", "office"),
 )
 """Scenes, and motions that use their props."""
-_IN_SCENE = dict(reversed(_HANDLED))
-"""Default motion of each scene: the first of those above."""
+_IN_SCENE = dict(reversed(_HANDLED))  # default motion of each scene: the first above
 _ELSEWHERE = ("walk", "run", "carry", "sit", *(motion for _, motion in _HANDLED))
 """Motions that would pass through props, or need one."""
 _AMONG = (-0.7, 0.7)  # m: where people walk among several sensors, in view of all
@@ -68,20 +67,11 @@ def simulate(
 ) -> PairedTake:
     """Return the take of a virtual Kinect of a motion in a scene, with ground truth.
 
-    Args:
-        scene: One of ``SCENES``, or the path of an MJCF file.
-        motion: One of ``MOTIONS``, or the path of a mocap file.
-        sensor: One of ``SENSORS``.
-        skeleton: Name of the take's skeleton; by default the sensor's own (for Azure
-            Kinect, that of Kinect v2).
-        seed: Seed of the person, the performance and the sensor's errors.
-        person: Seed of the person and of the sensor's constant errors for them; by
-            default ``seed``.
-        stay_in_view: Walk in circles within the sensor's view. By default gaits go
-            straight and leave the view, as in the takes behind the embedded weights
-            and the published figures; studies and training keep this default. Other
-            motions are unaffected.
-        tracker: How joints are found: ``model``, or ``depth`` from depth images.
+    Arguments are those of ``kinefilter simulate``, which explains them. ``person`` is
+    the seed of the person and of the sensor's constant errors for them, by default
+    ``seed``. With ``stay_in_view`` people walk in circles within the sensor's view; by
+    default gaits go straight and leave it, as in the takes behind the embedded weights
+    and the published figures: studies and training keep this default.
 
     Raises:
         InputError: The scene, motion, sensor, skeleton or tracker is unknown.
@@ -246,9 +236,9 @@ def pairs_with_props(
 
 
 def truth_of(pair: PairedTake) -> Take:
-    """Return the ground truth of a pair as a take without errors."""
-    state = np.full(pair.take.state.shape, State.TRACKED, dtype=np.uint8)
-    return Take(pair.take.time, pair.truth, state, pair.take.skeleton, pair.clip)
+    """Return the ground truth of a pair as the take of a sensor without errors."""
+    state = np.full_like(pair.take.state, State.TRACKED)
+    return replace(pair.take, positions=pair.truth, state=state)
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, CorrectorChain, LearnedCorrector
-from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.methods import LEARNED, METHODS
 from kinefilter.pipeline.pairs import PairedTake
@@ -17,20 +17,16 @@ from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import Progress, over, silent
 
 from .methods.training_data import TrainingSet
-from .teach import teach
-from .training import training_set
+from .training import teach, training_set
 
 
 @dataclass(frozen=True)
 class System:
     """A chain of methods, or a preset."""
 
-    label: str
-    """As requested: ``learned+local-pca``, ``liu-2016:clusters=50``."""
-    config: CleanConfig
-    """Configuration of the cleaner."""
-    methods: tuple[str, ...]
-    """Names of its methods, in order."""
+    label: str  # as requested: learned+local-pca, liu-2016:clusters=50
+    config: CleanConfig  # configuration of the cleaner
+    methods: tuple[str, ...]  # names of its methods, in order
 
     @property
     def learns(self) -> bool:
@@ -121,21 +117,22 @@ class CorrectorFactory:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
     With ``people`` they also learn each person's own offsets, for tests on the same
-    people. All methods except ``default`` take their postures from ``database``.
+    people. All methods except ``default`` take their postures from ``database``, by
+    default the built-in one; ``skeleton`` is by default that of the clips.
     """
 
     def __init__(
         self,
         train: Iterable[PairedTake],
-        skeleton: Skeleton,
+        skeleton: Skeleton | None = None,
         *,
-        people: bool,
-        database: PostureDatabase,
+        people: bool = False,
+        database: PostureDatabase | None = None,
         progress: Progress = silent,
     ) -> None:
-        self._train, self._skeleton = [*train], skeleton
-        self._people, self._database = people, database
-        self._progress = progress
+        self._train, self._people, self._progress = [*train], people, progress
+        self._skeleton = skeleton or self._train[0].take.skeleton
+        self._database = database or builtin_database(self._skeleton)
         self._lessons: dict[str, TrainingSet] = {}
         self._learned: dict[str, LearnedCorrector] = {}
 

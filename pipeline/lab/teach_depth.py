@@ -54,8 +54,7 @@ from kinefilter.scenes.sensor.ray_casting import PosedBody
 
 from .database_build import mocap_postures
 
-_HELD_OUT = ("02", "08", "12", "29")
-"""CMU's subjects that are left out of the training data."""
+_HELD_OUT = ("02", "08", "12", "29")  # CMU's subjects who are not in training data
 _PEOPLE, _CHECKING, _TESTING = 5_000_000, 5_100_000, 5_200_000
 """First seeds of the people for the trees, for the joints' constants, and for tests."""
 _CHECKED = 24  # people for the constants, and as many to test on

@@ -1,8 +1,10 @@
-"""Training sets: pairs of Kinect and mocap, transferred to the standard body."""
+"""Training sets: pairs of Kinect and mocap on the standard body; and what learns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -10,12 +12,19 @@ from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget import Standardizer
 
-from .methods.training_data import TrainingSet
+from .methods.fourier_ridge_learner import FourierRidgeLearner
+from .methods.training_data import Learner, TrainingSet
+from .simulation import simulated_pairs
 from .spool import Spool
+
+_SIMULATED = 102  # people besides the recorded ones: two per motion
 
 
 def training_set(
@@ -98,3 +107,41 @@ def standard_truth(pair: PairedTake, draft: Draft) -> Array:
     filled = np.where(np.isnan(truth), measured, truth)
     standard = Standardizer(draft.body).standardize(filled, draft.heading)
     return np.where(np.isnan(truth), np.nan, standard)
+
+
+def teach(
+    method: str,
+    lessons: TrainingSet,
+    *,
+    views: TrainingSet | None = None,
+    people: bool = False,
+    settings: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> LearnedCorrector:
+    """Return a method trained on pairs.
+
+    ``learned`` is also trained on simulated people, always the same ones, and on
+    ``views``, the sessions of two sensors (see ``view_pairs``); with ``people`` it
+    learns each person's own offsets too. ``settings`` are keywords of the constructors
+    of the other methods.
+
+    Raises:
+        InputError: The pairs are too few.
+    """
+    if method == "learned":
+        return FourierRidgeLearner(lessons.skeleton).fit(
+            lessons,
+            simulated=_simulated(lessons.skeleton),
+            views=views,
+            people=people,
+            progress=progress,
+        )
+    learner: Learner = LEARNED[method].load()(lessons.skeleton, **(settings or {}))
+    return learner.fit(lessons, progress=progress)
+
+
+@cache
+def _simulated(skeleton: Skeleton) -> TrainingSet | None:
+    if not _SIMULATED:
+        return None
+    return training_set(simulated_pairs(skeleton.name, people=_SIMULATED))

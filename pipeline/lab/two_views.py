@@ -35,8 +35,7 @@ from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .pairing import changed_bones
 from .systems import check_untrained
-from .teach import teach
-from .training import training_set
+from .training import teach, training_set
 
 LIMBS = {
     f"{limb} {side.lower()}": tuple(joint + side for joint in joints)
@@ -44,8 +43,7 @@ LIMBS = {
     for side in ("Left", "Right")
 }
 """Limbs that are compared, and their joints."""
-FAR = 0.12
-"""Distance [m] from the front sensor's joint beyond which a joint is wrong."""
+FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
 _SPEED = 6.0  # m/s beyond which the front is in doubt

@@ -40,8 +40,7 @@ from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
 from .limb_lessons import train_prior_on, with_prior
-from .teach import teach
-from .training import training_set
+from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]
 

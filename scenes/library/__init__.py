@@ -1,9 +1,10 @@
 """Scripted performers, and props that follow their hands."""
 
+from __future__ import annotations
+
 from .gaits import Area
 from .moving_props import movable_props, prop_poses
-from .performer_bodies import random_body
-from .performers import MOTIONS, perform, perform_medley
+from .performers import MOTIONS, perform, perform_medley, random_body
 
 __all__ = [
     "MOTIONS",

@@ -6,7 +6,7 @@ import numpy as np
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
-from .stances import ON_HIPS, Script, alternating
+from .stances import ON_HIPS, alternating, by_name
 
 
 def _arms_for_balance(puppet: Puppet, pose: Pose, rng: Rng, style: int) -> Pose:
@@ -256,15 +256,7 @@ def _dodge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return score
 
 
-ACTIONS: dict[str, Script] = {
-    "bend": _bend,
-    "dodge": _dodge,
-    "kick": _kick,
-    "lunge": _lunge,
-    "pick_up": _pick_up,
-    "raise_leg": _raise_leg,
-    "sit": _sit,
-    "squat": _squat,
-    "step_over": _step_over,
-}
+ACTIONS = by_name(
+    _bend, _dodge, _kick, _lunge, _pick_up, _raise_leg, _sit, _squat, _step_over
+)
 """Motions of the whole body on the spot, by name."""

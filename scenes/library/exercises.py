@@ -18,7 +18,7 @@ import numpy as np
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
-from .stances import ArmHold, Fault, Script, alternating, draw_fault, draw_hold
+from .stances import ArmHold, Fault, alternating, by_name, draw_fault, draw_hold
 
 _STICKS = (*["stick"] * 4, *["low stick"] * 3, "overhead", "hips", "forward")
 _OVERHEAD = (*["overhead"] * 5, "stick", "forward", "wide")
@@ -326,20 +326,10 @@ def _push_down_pumping(puppet: Puppet, rng: Rng, base: Pose, length: float) -> S
     return score.to(0.8, base)
 
 
-EXERCISES: dict[str, Script] = {
-    "clasp_and_spread": _clasp_and_spread,
-    "deep_breathing": _deep_breathing,
-    "deep_squat": _deep_squat,
-    "hurdle_step": _hurdle_step,
-    "inline_lunge": _inline_lunge,
-    "leg_raise": _leg_raise,
-    "overhead_pumping": _overhead_pumping,
-    "push_down_pumping": _push_down_pumping,
-    "shoulder_abduction": _shoulder_abduction,
-    "shoulder_extension": _shoulder_extension,
-    "shoulder_rotation": _shoulder_rotation,
-    "shoulder_scaption": _shoulder_scaption,
-    "side_lunge": _side_lunge,
-    "sit_to_stand": _sit_to_stand,
-}
+EXERCISES = by_name(
+    *(_clasp_and_spread, _deep_breathing, _deep_squat, _hurdle_step, _inline_lunge),
+    *(_leg_raise, _overhead_pumping, _push_down_pumping, _shoulder_abduction),
+    *(_shoulder_extension, _shoulder_rotation, _shoulder_scaption),
+    *(_side_lunge, _sit_to_stand),
+)
 """Exercises of physiotherapy and for lymph flow, by name."""

@@ -268,8 +268,7 @@ def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return score
 
 
-GAITS = ("carry", "march", "run", "walk")
-"""Names of the gaits."""
+GAITS = ("carry", "march", "run", "walk")  # names of the gaits
 
 TURNS: dict[str, Script] = {"turn": _turn}
 """Motions that turn on the spot, by name."""

@@ -8,7 +8,7 @@ from kinefilter.characters.arrays import Array
 
 from .poses import LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
-from .stances import Script, alternating, hanging_arm
+from .stances import alternating, by_name, hanging_arm
 
 _DOWN_OUT = (0.6, -1.0, -0.1)
 
@@ -264,18 +264,8 @@ def _grip(puppet: Puppet, pose: Pose, main: int, spot: Array, both: bool) -> Pos
     return pose
 
 
-GESTURES: dict[str, Script] = {
-    "clap": _clap,
-    "cross_arms": _cross_arms,
-    "point": _point,
-    "punch": _punch,
-    "raise_arms": _raise_arms,
-    "reach_up": _reach_up,
-    "rotate_arms": _rotate_arms,
-    "scratch": _scratch,
-    "stand_idle": _stand_idle,
-    "swing": _swing,
-    "talk": _talk,
-    "wave": _wave,
-}
+GESTURES = by_name(
+    *(_clap, _cross_arms, _point, _punch, _raise_arms, _reach_up, _rotate_arms),
+    *(_scratch, _stand_idle, _swing, _talk, _wave),
+)
 """Motions of the upper body, by name."""

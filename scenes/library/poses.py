@@ -18,8 +18,7 @@ from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
 Angles = float | tuple[float, float, float]
-LEFT, RIGHT, BOTH = 0, 1, slice(None)
-"""Sides of a pose."""
+LEFT, RIGHT, BOTH = 0, 1, slice(None)  # sides of a pose
 
 _SMOOTHING = 0.05
 """Standard deviation [s] of the blur that rounds the motion at the key poses."""
@@ -64,18 +63,16 @@ class Pose:
 
         A single number is a forward tilt of the pelvis or a flexion of spine or head.
         """
-        if not isinstance(pelvis, tuple):
-            pelvis = (0.0, pelvis, 0.0)
-        if not isinstance(spine, tuple):
-            spine = (spine, 0.0, 0.0)
-        if not isinstance(head, tuple):
-            head = (head, 0.0, 0.0)
+        tilt = pelvis if isinstance(pelvis, tuple) else (0.0, pelvis, 0.0)
+        bend, nod = (
+            a if isinstance(a, tuple) else (a, 0.0, 0.0) for a in (spine, head)
+        )
         return replace(
             self,
             root=self.root + np.array([side, -drop, -back]),
-            pelvis=self.pelvis + np.array(pelvis),
-            spine=self.spine + np.array(spine),
-            head=self.head + np.array(head),
+            pelvis=self.pelvis + np.array(tilt),
+            spine=self.spine + np.array(bend),
+            head=self.head + np.array(nod),
         )
 
     def over(self, side: int, share: float) -> Pose:

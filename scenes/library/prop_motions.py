@@ -16,7 +16,7 @@ from kinefilter.characters.rotations import about_y, rotate
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
-from .stances import Script, alternating
+from .stances import Script, alternating, by_name
 
 _DOWN = (0.7, -1.0, -0.1)
 
@@ -263,13 +263,7 @@ def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return seat.stand(score, rng, base)
 
 
-PROP_MOTIONS: dict[str, Script] = {
-    "basketball": _basketball,
-    "chair": _chair,
-    "flip_chart": _flip_chart,
-    "lift_box": _lift_box,
-    "office": _office,
-}
+PROP_MOTIONS = by_name(_basketball, _chair, _flip_chart, _lift_box, _office)
 """Motions with an imaginary object, by name."""
 
 TASKS: dict[str, Script] = {"store_box": _store_box}

@@ -10,7 +10,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
-from .stances import Script, alternating, draw_fault, draw_hold
+from .stances import alternating, by_name, draw_fault, draw_hold
 
 _Goal = tuple[float, float, float]
 _ELBOW_DOWN = (0.7, -1.0, -0.1)
@@ -269,12 +269,5 @@ def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return score
 
 
-SPORTS: dict[str, Script] = {
-    "bend_leg": _bend_leg,
-    "dance": _dance,
-    "golf_swing": _golf_swing,
-    "jump": _jump,
-    "roll_hands": _roll_hands,
-    "tai_chi": _tai_chi,
-}
+SPORTS = by_name(_bend_leg, _dance, _golf_swing, _jump, _roll_hands, _tai_chi)
 """Sports and arts, by name."""

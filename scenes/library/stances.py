@@ -21,6 +21,11 @@ the pose it started from.
 """
 
 
+def by_name(*scripts: Script) -> dict[str, Script]:
+    """Return scripts by the names of their functions, without the underscore."""
+    return {script.__name__.removeprefix("_"): script for script in scripts}
+
+
 def stance(puppet: Puppet, rng: Rng, *, wide: float = 0.0) -> Pose:
     """Draw a relaxed standing pose, the feet ``wide`` hip widths farther apart."""
     half = (rng.uniform(0.9, 1.9) + wide) * puppet.hip_width / 2.0
@@ -63,8 +68,7 @@ def alternating(score: Score, rng: Rng, length: float, chance: float) -> Iterato
         yield side
 
 
-ON_HIPS = (0.19, -0.45, 0.05)
-"""Hand on the hip, as ``Puppet.reach`` takes it."""
+ON_HIPS = (0.19, -0.45, 0.05)  # hand on the hip, as Puppet.reach takes it
 _FOLDED = (-0.02, -0.14, 0.26)  # hand in front of the chest, likewise
 
 

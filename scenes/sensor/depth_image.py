@@ -21,8 +21,7 @@ from .geometry import Sensor, in_sensor_frame, in_world_frame, sensor_axes
 from .ray_casting import PosedBody
 from .visibility import own_parts
 
-BACKGROUND = 10.0
-"""Depth [m] of pixels without a person (Shotton et al. 2011: a large constant)."""
+BACKGROUND = 10.0  # m: pixels without a person (Shotton 2011: a large constant)
 _EVERY = 2  # step between rendered pixels, along rows and columns
 _AROUND = 0.3  # m: no skin is farther from every joint
 _REACH = 0.04  # of stature: extent of a joint's skin along a limb, a guess
@@ -36,12 +35,9 @@ _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 class DepthImage:
     """An image of a person, with rows from the top, columns from the sensor's left."""
 
-    depth: Array
-    """Distance along the sensor's z axis [m], BACKGROUND without a person, (H, W)."""
-    segments: Indices
-    """Index of the visible segment, -1 without a person, (H, W)."""
-    focal: float
-    """Focal length [pixels of this image]."""
+    depth: Array  # along the z axis [m], BACKGROUND without a person, (H, W)
+    segments: Indices  # index of the visible segment, -1 without a person, (H, W)
+    focal: float  # focal length [pixels of this image]
 
     def rays(self, rows: Indices, columns: Indices) -> Array:
         """Return rays through pixels, in the sensor frame, scaled to z = 1, (N, 3)."""

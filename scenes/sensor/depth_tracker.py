@@ -38,10 +38,8 @@ _LEAST_PIXELS = 50  # that show a person; fewer are no person, a guess
 class Proposals(NamedTuple):
     """Skin around each joint in one image, in the sensor frame."""
 
-    skin: Array
-    """Where the skin is densest [m], NaN without any, (J, 3)."""
-    area: Array
-    """Area of skin there, weighted by probability [m^2], (J,)."""
+    skin: Array  # where the skin is densest [m], NaN without any, (J, 3)
+    area: Array  # area of skin there, weighted by probability [m^2], (J,)
 
 
 def propose(

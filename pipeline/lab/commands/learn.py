@@ -24,7 +24,7 @@ from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.methods import LEARNED, LearnedName
 from kinefilter.pipeline.presets import PresetName
 
-from .inputs import clips_of, in_folders
+from . import clips_of, in_folders
 
 _MOCAP = (".bvh", ".bvh.gz", ".amc", ".amc.gz", ".asf", ".c3d", ".trc", ".npz")
 
@@ -69,7 +69,7 @@ class Pair:
         from kinefilter.pipeline.lab.marker_sets import read_marker_set
         from kinefilter.pipeline.lab.pairing import pair_session
         from kinefilter.pipeline.lab.simulation import write_pairs
-        from kinefilter.pipeline.lab.studies import check_drawing
+        from kinefilter.pipeline.lab.studies.output import check_drawing
 
         if len(self.files) < 2 or len(self.files) % 2:
             raise InputError(
@@ -147,8 +147,7 @@ class Train:
     def run(self) -> int:
         """Train the method and write the model."""
         from kinefilter.pipeline.lab.simulation import pairs_with_props, simulated_pairs
-        from kinefilter.pipeline.lab.teach import teach
-        from kinefilter.pipeline.lab.training import training_set
+        from kinefilter.pipeline.lab.training import teach, training_set
         from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
 
@@ -228,9 +227,7 @@ class DatabaseBuild:
             raise InputError(f"{paired[0]}: give mocap or pairs files, not both")
         with progress_bars() as progress:
             if self.scripted:
-                from kinefilter.pipeline.lab.scripted_database import scripted_database
-
-                database = scripted_database(skeleton, progress)
+                database = build.scripted_database(skeleton, progress)
             elif paired:
                 pairs = clips_of(paired, progress)
                 database = build.database_from_pairs(pairs, skeleton, count=self.count)

@@ -18,7 +18,7 @@ from kinefilter.pipeline.commands.terminal import (
 )
 from kinefilter.pipeline.database import PostureDatabase
 
-from .inputs import clips_of
+from . import clips_of
 
 _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"
@@ -283,8 +283,8 @@ class Reproduce:
             raise InputError(f"--seed {self.seed}: must be at least 0")
         names = self.studies if self.all is None else tuple(studies.STUDIES)
         studies.check_names(names)
-        studies.check_drawing()
-        studies.check_studies_folder(folder)
+        studies.output.check_drawing()
+        studies.output.check_studies_folder(folder)
         data = studies.recordings_folder(self.data)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
@@ -294,7 +294,7 @@ class Reproduce:
             with progress_bars() as progress:
                 options = studies.Options(self.seed, data, progress)
                 study = studies.reproduce(name, options, quick=self.quick)
-            written = studies.write_study(name, study, folder)
+            written = studies.output.write_study(name, study, folder)
             out.print(studies.as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n")
             studies.record_fingerprint(name, folder, stamp)
@@ -304,7 +304,8 @@ class Reproduce:
             out.print(claims.verdicts_table(verdicts))
         if self.all is not None:
             with progress_bars() as progress:
-                for line in studies.make_pictures(folder, data=data, progress=progress):
+                pictures = studies.output.make_pictures
+                for line in pictures(folder, data=data, progress=progress):
                     out.print(line)
             out.print(f"wrote {claims.write_verdicts(verdicts, folder)}")
         return int(any(verdict.held is False for verdict in verdicts))

@@ -18,7 +18,7 @@ from kinefilter.pipeline.commands.terminal import (
 )
 from kinefilter.pipeline.formats.plain import counted
 
-from .inputs import in_folders
+from . import in_folders
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from sklearn.cluster import KMeans
 
-from kinefilter.characters import Skeleton, standard_body
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.retarget.body_size import chain_matrix
 
+from .filters import BoneWalk
 from .gaussian_process import Kernel, fit_kernel
 from .training_data import Learner, TrainingFrames, TrainingSet
 
@@ -29,37 +29,6 @@ _SHORT, _LONG = 0.5, 1.0  # initial length scales, relative to the spread of pos
 _ALIKE = 0.03  # m over all segments: width of the Gaussian that compares proportions
 _UNLIKE = 0.003  # weight of an example of entirely different proportions
 _PEOPLE = 800  # examples of true and measured segment lengths
-
-
-class BoneWalk:
-    """Changes the lengths of bones and keeps their directions (Chiang eq. 1, 2)."""
-
-    def __init__(self, skeleton: Skeleton) -> None:
-        rest = standard_body(skeleton)
-        self._ends, self._starts = skeleton.segments, skeleton.segment_parents
-        self._rest = rest.directions[self._ends]
-        self.lengths = rest.lengths[self._ends]
-        """Bone lengths of the standard body [m], shape (S,)."""
-        self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
-
-    def measure(self, postures: Array) -> tuple[Array, Array]:
-        """Return the bones' directions (..., S, 3) and lengths [m] (..., S).
-
-        A bone of zero length gets its direction in the rest pose.
-        """
-        bones = postures[..., self._ends, :] - postures[..., self._starts, :]
-        lengths = np.sqrt(np.sum(bones * bones, axis=-1))
-        valid = (lengths > 1e-6)[..., None]
-        directions = bones / np.where(valid, lengths[..., None], 1.0)
-        return np.where(valid, directions, self._rest), lengths
-
-    def posture(self, directions: Array, lengths: Array) -> Array:
-        """Return the posture [m] with these bones, root at the origin, (..., J, 3)."""
-        return np.asarray(self._chain @ (directions * lengths[..., None]))
-
-    def standardized(self, postures: Array) -> Array:
-        """Return postures (..., J, 3) with standard bones, root at the origin."""
-        return self.posture(self.measure(postures)[0], self.lengths)
 
 
 class ClusteredGP(Learner):

@@ -13,17 +13,16 @@ from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
 from kinefilter.pipeline.correct.interface import measured_only
+from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.retarget import BoneLengths
+from kinefilter.retarget.body_size import chain_matrix
 
 SENSOR_NOISE, LOST_NOISE = 0.01, 0.3
 """Standard deviation [m] of a fully reliable joint (jitter) and of an unreliable one,
 which may be off by a forearm. Guesses."""
-ACCELERATION_DENSITY = 2.5
-"""Spectral density of the acceleration [m^2/s^3]: 5 m/s^2 for a tenth of a second."""
-FIRST_SPEED = 1.0
-"""Standard deviation of the velocity of a joint not seen before [m/s]."""
-LONGEST_PREDICTION = 0.5
-"""Time [s] for which a missing joint keeps its velocity: half of a reaching motion."""
+ACCELERATION_DENSITY = 2.5  # m^2/s^3: 5 m/s^2 for a tenth of a second
+FIRST_SPEED = 1.0  # m/s: standard deviation for a joint not seen before
+LONGEST_PREDICTION = 0.5  # s that a missing joint keeps its velocity: half a reach
 
 _LEAST_STEP = 1e-3  # s, between frames with the same time stamp
 _IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition
@@ -39,14 +38,9 @@ def bridge_gaps(time: Array, positions: Array) -> Array:
         time: Time stamps [s], strictly increasing, shape (T,).
         positions: Joint positions [m], NaN where missing, shape (T, J, 3).
     """
-    bridged = positions.copy()
-    missing = np.isnan(positions[..., 0])
-    for j in np.flatnonzero(missing.any(axis=0) & ~missing.all(axis=0)):
-        gap = missing[:, j]
-        for c in range(3):
-            seen = positions[~gap, j, c]
-            bridged[gap, j, c] = np.interp(time[gap], time[~gap], seen)
-    return bridged
+    columns = positions.reshape(len(positions), -1)
+    bridged = interpolate_gaps(time, columns).reshape(positions.shape)
+    return np.where(np.isnan(positions).all(axis=0), np.nan, bridged)
 
 
 def _rate(time: Array) -> float:
@@ -193,6 +187,37 @@ class ConstantVelocity:
         self.velocity = self.velocity + follow * moved
 
 
+class BoneWalk:
+    """Changes the lengths of bones and keeps their directions (Chiang, eq. 1, 2)."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        rest = standard_body(skeleton)
+        self._ends, self._starts = skeleton.segments, skeleton.segment_parents
+        self._rest = rest.directions[self._ends]
+        self.lengths = rest.lengths[self._ends]
+        """Bone lengths of the standard body [m], shape (S,)."""
+        self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
+
+    def measure(self, postures: Array) -> tuple[Array, Array]:
+        """Return the bones' directions (..., S, 3) and lengths [m] (..., S).
+
+        A bone of zero length gets its direction in the rest pose.
+        """
+        bones = postures[..., self._ends, :] - postures[..., self._starts, :]
+        lengths = np.sqrt(np.sum(bones * bones, axis=-1))
+        valid = (lengths > 1e-6)[..., None]
+        directions = bones / np.where(valid, lengths[..., None], 1.0)
+        return np.where(valid, directions, self._rest), lengths
+
+    def posture(self, directions: Array, lengths: Array) -> Array:
+        """Return the posture [m] with these bones, root at the origin, (..., J, 3)."""
+        return np.asarray(self._chain @ (directions * lengths[..., None]))
+
+    def standardized(self, postures: Array) -> Array:
+        """Return postures (..., J, 3) with standard bones, root at the origin."""
+        return self.posture(self.measure(postures)[0], self.lengths)
+
+
 class ConstantLengthKalman(Corrector):
     """Tracks every joint, and keeps the bones at the standard body's lengths.
 
@@ -207,9 +232,8 @@ class ConstantLengthKalman(Corrector):
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton
-        body = standard_body(skeleton)
-        self._bones = BoneLengths(body)
-        self._rest, self._lengths = body.rest_offsets, body.lengths
+        self._bones = BoneLengths(standard_body(skeleton))
+        self._walk = BoneWalk(skeleton)
         self._hold = Hold(skeleton)
         self.start()
 
@@ -255,11 +279,4 @@ class ConstantLengthKalman(Corrector):
         confidence[self.skeleton.root] = _IMMOVABLE
         near = self._bones.project(posture[None], confidence[None])[0]
         # The remaining error, largest for a torn skeleton, goes to the outer joints.
-        exact = np.zeros((len(posture), 3))
-        for j in self.skeleton.order[1:]:
-            parent = self.skeleton.parents[j]
-            bone = near[j] - near[parent]
-            length = float(np.sqrt(bone @ bone))
-            bone = bone * (self._lengths[j] / length) if length > 0.0 else self._rest[j]
-            exact[j] = exact[parent] + bone
-        return exact
+        return self._walk.standardized(near)

@@ -29,14 +29,10 @@ class Kernel:
     scale each and no bias.
     """
 
-    variances: Array
-    """Variance of each Gaussian [m^2], shape (R,)."""
-    scales: Array
-    """Inverse length scales [1/m], the square roots of W, shape (R, F) or (R, 1)."""
-    bias: float
-    """Variance of the constant [m^2]; 0 for none."""
-    noise: float
-    """Variance of the noise [m^2]."""
+    variances: Array  # variance of each Gaussian [m^2], shape (R,)
+    scales: Array  # inverse lengths [1/m], square roots of W, (R, F) or (R, 1)
+    bias: float  # variance of the constant [m^2]; 0 for none
+    noise: float  # variance of the noise [m^2]
 
     @property
     def prior(self) -> float:

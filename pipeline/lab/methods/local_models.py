@@ -117,10 +117,8 @@ class LinearTrend:
     learn, but independent local models cannot.
     """
 
-    table: Array
-    """Per joint the slopes, then the constant [m], shape (M, F + 1, 3)."""
-    bounds: Array
-    """Minimum and maximum of the samples' features [m], shape (2, M, F)."""
+    table: Array  # per joint the slopes, then the constant [m], shape (M, F + 1, 3)
+    bounds: Array  # minimum and maximum of the samples' features [m], shape (2, M, F)
 
     @classmethod
     def fitted(cls, features: Array, offsets: Array) -> Self:

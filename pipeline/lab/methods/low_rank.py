@@ -24,16 +24,11 @@ _TOLERANCE = 1e-7  # norm of D - A - E relative to that of D
 class Decomposition:
     """A decomposition D = A + E."""
 
-    low_rank: Array
-    """A, shape (M, N)."""
-    sparse: Array
-    """E, shape (M, N)."""
-    multiplier: Array
-    """Y, the Lagrange multiplier of D = A + E, shape (M, N)."""
-    iterations: int
-    """Number of iterations."""
-    converged: bool
-    """True if D - A - E is within the tolerance."""
+    low_rank: Array  # A, shape (M, N)
+    sparse: Array  # E, shape (M, N)
+    multiplier: Array  # Y, the Lagrange multiplier of D = A + E, shape (M, N)
+    iterations: int  # number of iterations
+    converged: bool  # true if D - A - E is within the tolerance
 
 
 def threshold_singular_values(matrix: Array, threshold: float) -> Array:

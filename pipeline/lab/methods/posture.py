@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -12,6 +13,20 @@ from kinefilter.pipeline.correct.local_pca import Search
 from kinefilter.pipeline.database import PostureDatabase
 
 
+class _Others(TypedDict, total=False):
+    """Keywords of ``LocalPCA`` whose defaults are the paper's (table V, VI.E)."""
+
+    dimensions: int
+    search: Search
+    steps: int
+    samples: int
+    control: float
+    style: float
+    kinematics: float
+    continuity: float
+    seed: int
+
+
 class LeastEnergy(LocalPCA):
     """Replaces the posture by the one of least energy in the natural posture space.
 
@@ -19,8 +34,8 @@ class LeastEnergy(LocalPCA):
     ``LocalPCA`` instead keeps reliable joints where they are, and relies on the
     measurement where the database has no similar posture.
 
-    The keywords are those of ``LocalPCA``, with the paper's values (table V, section
-    VI.E); it has no weight of the last posture in the query (``memory``).
+    The keywords are those of ``LocalPCA``, with the paper's values; it has no weight of
+    the last posture in the query (``memory``).
     """
 
     def __init__(
@@ -28,31 +43,10 @@ class LeastEnergy(LocalPCA):
         database: PostureDatabase,
         *,
         neighbors: int = 30,
-        dimensions: int = 20,
-        search: Search = "solver",
-        steps: int = 20,
-        samples: int = 100,
         memory: float = 0.0,
-        control: float = 1.0,
-        style: float = 0.5,
-        kinematics: float = 1.5,
-        continuity: float = 0.25,
-        seed: int = 0,
+        **others: Unpack[_Others],
     ) -> None:
-        super().__init__(
-            database,
-            neighbors=neighbors,
-            dimensions=dimensions,
-            search=search,
-            steps=steps,
-            samples=samples,
-            memory=memory,
-            control=control,
-            style=style,
-            kinematics=kinematics,
-            continuity=continuity,
-            seed=seed,
-        )
+        super().__init__(database, neighbors=neighbors, memory=memory, **others)
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
         weights = self._weights(take)

@@ -92,16 +92,11 @@ class OffsetCorrector(Learner):
 class TrainingFrames:
     """Frames in which every learned joint is both measured and in the ground truth."""
 
-    postures: Array
-    """Measured joint positions [m], missing joints filled, shape (N, J, 3)."""
-    offsets: Array
-    """Mocap minus Kinect [m] at the learned joints, shape (N, M, 3)."""
-    joints: Indices
-    """The learned joints: those that mocap and Kinect both have, shape (M,)."""
-    measured: Flags
-    """The joints that Kinect has, shape (J,)."""
-    lengths: Array
-    """The person's own segment lengths [m], as Kinect measures them, shape (N, J)."""
+    postures: Array  # measured joints [m], missing ones filled, shape (N, J, 3)
+    offsets: Array  # mocap minus Kinect [m] at the learned joints, shape (N, M, 3)
+    joints: Indices  # learned ones: those that mocap and Kinect both have, (M,)
+    measured: Flags  # the joints that Kinect has, shape (J,)
+    lengths: Array  # of the person's segments [m], by Kinect, shape (N, J)
 
     @classmethod
     def draw(

@@ -29,8 +29,7 @@ from kinefilter.retarget import measured_body
 
 from .noise_scorer import MEMORY, NoiseReliabilityScorer
 
-FAR_OFF = 0.10
-"""Error [m] relative to the hips above which a joint is far off."""
+FAR_OFF = 0.10  # m relative to the hips above which a joint is far off
 _EVERY = 4  # every fourth frame is used in training; those between add little
 _PENALTY = 1.0  # inverse strength of the penalty on large weights
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])
@@ -55,14 +54,10 @@ _ARRAYS = ("usual", "weights", "intercepts")
 class ClueWeights:
     """Weights of the log odds that a joint is far off, a sum over clues."""
 
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    usual: Array
-    """Mean of each clue in training, shape (J, C)."""
-    weights: Array
-    """Log odds per unit of the clue's difference from its mean, shape (J, C)."""
-    intercepts: Array
-    """Log odds with every clue at its mean, shape (J,)."""
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    usual: Array  # mean of each clue in training, shape (J, C)
+    weights: Array  # log odds per unit of difference from that mean, shape (J, C)
+    intercepts: Array  # log odds with every clue at its mean, shape (J,)
 
     @classmethod
     def even_odds(cls, skeleton: Skeleton) -> Self:

@@ -14,10 +14,8 @@ from kinefilter.characters import Skeleton, State, Term
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
-FRAME_TIME = 1.0 / 30.0
-"""Time [s] between frames without time stamps: a Kinect's."""
-SAMPLES = 5
-"""Positions that a cubic is subtracted from: one more than it can pass through."""
+FRAME_TIME = 1.0 / 30.0  # s, between frames without time stamps: a Kinect's
+SAMPLES = 5  # positions a cubic is subtracted from, one more than it can fit
 MEMORY = 0.2
 """Time constant [s] of the means of squared noise and squared length errors: as long as
 the window of Shum's reliability. On paired data 0.1 to 1 s do about as well."""

@@ -12,6 +12,7 @@ import numpy as np
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
+from kinefilter.pipeline.lab.systems import CorrectorFactory
 from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.presets import PRESETS
@@ -19,8 +20,15 @@ from kinefilter.pipeline.progress import over
 
 from .study import Options, Panel, Row, Series, Study, series_of
 from .study_takes import clips_of, recorded_people
-from .traces import Trace, trace_study
-from .trial import Group, errors, mean_cm, recorded, simulated, trainer_of
+from .trial import (
+    Group,
+    Trace,
+    errors,
+    mean_cm,
+    recorded,
+    simulated,
+    trace_study,
+)
 
 _CHIANG_2_3 = {
     ("deep_breathing", "all"): (9078, 10.22, 4.91, 1.46, 0.14, 1.79, 2.46),
@@ -113,8 +121,7 @@ def _arm_errors(chosen: Sequence[Flags], takes: Sequence[list[Array]]) -> list[f
 def _unreliable(pair: PairedTake) -> Flags:
     """Return the frames in which the upper body scores as unreliable, shape (T,)."""
     skeleton = pair.take.skeleton
-    names = [part + side for part in _ARM for side in ("Left", "Right")]
-    joints = [skeleton.girdle, *map(skeleton.index, names)]
+    joints = [skeleton.girdle, *(j for part in _ARM for j in skeleton.sides(part))]
     reliability = observed(pair, CleanConfig(preset="chiang-2017")).reliability
     limit = PRESETS["chiang-2017"].settings["smallest_reliability"]
     return np.asarray((reliability[:, joints] <= limit).any(axis=1))
@@ -137,7 +144,8 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
     for k, name in enumerate(over(names, "movements", options.progress)):
         own = [pair for pair in clips if pair.movement == name]
         for split, (train, tests) in _splits(own, people[k % len(people)]).items():
-            group = Group(split, tests, trainer_of(train, options))
+            trainer = CorrectorFactory(train, progress=options.progress)
+            group = Group(split, tests, trainer)
             found.setdefault(split, []).extend(arms for _, arms in _arms(group, tests))
     means = {
         split: [mean_cm(*parts) for parts in zip(*takes, strict=True)]

@@ -89,10 +89,8 @@ class Verdict:
     """A claim and the measured value."""
 
     claim: Claim
-    measured: float | None
-    """None if the study has no such figure."""
-    held: bool | None
-    """None if not judged, for the reason in ``note``."""
+    measured: float | None  # None if the study has no such figure
+    held: bool | None  # None if not judged, for the reason in note
     note: str = ""
 
     @property

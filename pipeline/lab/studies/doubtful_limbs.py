@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,16 +17,16 @@ from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
-from kinefilter.pipeline.lab.systems import System, systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, System, systems_of
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import silent
+from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .study import Options
 from .study_takes import recorded_people
-from .trial import correction, split, trainer_of
+from .trial import correction, recorded_folds
 
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
@@ -41,10 +40,8 @@ hangs straight down from the first frame on, is missing, or is visible after all
 _LIMBS = ("right-arm", "left-arm", "arms", "left-leg")  # hidden in turn
 _GAP = "55%"
 _EVERY = 20  # one in this many clips is tested
-Errors = dict[str, dict[str, float]]
-"""Errors [cm] by method and situation."""
-Turn = tuple[float, float]
-"""Tilt and roll [rad] by which a motion was leveled."""
+Errors = dict[str, dict[str, float]]  # [cm] by method and situation
+Turn = tuple[float, float]  # tilt and roll [rad] by which a motion was leveled
 Runner = Callable[[Take], tuple[Array, Turn]]
 """Function from a take to joint positions [m] and the turn that leveled them."""
 
@@ -81,12 +78,14 @@ def hidden_limb_errors(
         most: Maximum number of clips per person.
     """
     people = recorded_people(options.data)[:count]
-    quiet = replace(options, progress=silent)
-    systems = systems_of(methods, presets)
-    run = partial(_errors_of, people, systems, whole, (every, most, guesses), quiet)
+    parts = [
+        (train, test[::every][:most])
+        for _, train, test in recorded_folds(people, options)
+    ]
+    run = partial(_errors_on, systems_of(methods, presets), whole, guesses)
     with workers() as pool:
-        parts = pool.map(run, [*people, None])
-        found = [next(parts) for _ in options.progress("people", len(people) + 1)]
+        jobs = [pool.submit(run, *part) for part in parts]
+        found = [job.result() for job in over(jobs, "people", options.progress)]
     *new, known = found
     return {
         name: {
@@ -98,18 +97,15 @@ def hidden_limb_errors(
     }
 
 
-def _errors_of(
-    people: Sequence[str],
+def _errors_on(
     systems: Sequence[System],
     whole: bool,
-    sizes: tuple[int, int, Collection[str]],
-    options: Options,
-    person: str | None,
+    guesses: Collection[str],
+    train: Sequence[PairedTake],
+    test: Sequence[PairedTake],
 ) -> Errors:
-    """Return the errors on one person; None: on late repetitions of all people."""
-    train, test = split(people, person, options)
-    every, most, guesses = sizes
-    trainer, prior = trainer_of(train, options), train_prior_on(train)
+    """Return the errors on test clips of systems trained on others."""
+    trainer, prior = CorrectorFactory(train), train_prior_on(train)
     none = _cleaned(CleanConfig("none", physics=False), None, prior)
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
@@ -117,7 +113,6 @@ def _errors_of(
         runners[system.label] = partial(_corrected, system.config, corrector)
         if whole:
             runners[system.label] = _cleaned(system.config, corrector, prior)
-    test = test[::every][:most]
     return {name: _means(test, run, guesses) for name, run in runners.items()}
 
 

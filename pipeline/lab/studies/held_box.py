@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 
 from kinefilter import CleanConfig, clean
-from kinefilter.characters import State, Take
+from kinefilter.characters import Take
 from kinefilter.characters.rotations import matrix_from_wxyz
-from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.pipeline.physics import pulled_character
 
 from .study import Cell, Options, Panel, Series, Study
@@ -40,7 +38,7 @@ def held_box(options: Options, *, count: int = 20) -> Study:
         simulated = options.progress(motion, count)
         pairs = [simulate("box", motion, seed=first + k) for k in simulated]
         seen = [pair.take for pair in pairs]
-        known = [_performed(pair) for pair in pairs]
+        known = [truth_of(pair) for pair in pairs]
         for name, takes in (("as performed", known), ("seen by a Kinect", seen)):
             for holds in (True, False):
                 row = f"{motion}, {name}" if holds else f"{motion}, {name}, not held"
@@ -62,12 +60,6 @@ def held_box(options: Options, *, count: int = 20) -> Study:
     title = f"{count} performers lift a box in the box scene"
     panel = Panel("performances, %", "height of the box, m", peaks)
     return Study(title, header, rows, [panel])
-
-
-def _performed(pair: PairedTake) -> Take:
-    """Return the take of a sensor that makes no errors."""
-    state = np.full_like(pair.take.state, State.TRACKED)
-    return replace(pair.take, positions=pair.truth, state=state)
 
 
 def _figures(take: Take, end: tuple[float, float], *, holds: bool) -> dict[str, float]:

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, simulated_pair_of
 from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.lab.systems import systems_of
+from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.workers import workers
@@ -23,8 +23,14 @@ from kinefilter.pipeline.workers import workers
 from .doubtful_limbs import hidden_limb_errors
 from .study import Options, Panel, Row, Series, Study, series_of
 from .study_takes import first_person, recorded_people
-from .traces import Trace, trace_study
-from .trial import Group, errors, mean_cm, simulated, trainer_of
+from .trial import (
+    Group,
+    Trace,
+    errors,
+    mean_cm,
+    simulated,
+    trace_study,
+)
 
 _NEW, _KNOWN = "new people", "known people"
 _HEADER = ("new_people_cm", "known_people_cm")
@@ -231,7 +237,8 @@ def _folds(
     people = list(dict.fromkeys(take.subject for take in takes))
     for k in range(min(_FOLDS, len(people))):
         held_out = np.isin([take.subject for take in takes], people[k::_FOLDS])
-        trainer = trainer_of([*compress(takes, ~held_out)], options)
+        train = compress(takes, ~held_out)
+        trainer = CorrectorFactory(train, progress=options.progress)
         group = Group("new", [*compress(takes, held_out)], trainer)
         yield group, [*compress(labels, held_out)]
 

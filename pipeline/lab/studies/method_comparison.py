@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, evaluate, repetition
+from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.workers import workers
@@ -37,8 +37,7 @@ _CUTS = {
     "chiang-2017": 74.7,  # table 2, all samples: mean of its four exercises
 }
 """Reduction of Kinect's error in the papers [%]."""
-_People = dict[str, dict[str, float]]
-"""Errors [cm] of a method, by person and name of the error."""
+_People = dict[str, dict[str, float]]  # errors [cm] by person and name
 
 
 def methods_new_people(
@@ -75,10 +74,14 @@ def methods_known_people(
     """
     people, progress = recorded_people(options.data)[:count], options.progress
     clips = clips_of(people, movements, options)
-    late = [clip for clip in clips if repetition(clip) > LEARNED_REPETITIONS]
-    clips = [clip for clip in clips if clip not in late] + late[::_EVERY]
     figures = evaluate(
-        clips, [], _METHODS, protocol="repetitions", ablation=True, progress=progress
+        clips,
+        [],
+        _METHODS,
+        protocol="repetitions",
+        ablation=True,
+        every=_EVERY,
+        progress=progress,
     )
     title = "Methods on new repetitions by the people in their training data"
     return _study(title, _errors(figures))

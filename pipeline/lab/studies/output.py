@@ -13,12 +13,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kinefilter import Cleaner, clean, read_take, write_clip
-from kinefilter.characters import InputError
+from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
@@ -171,10 +171,13 @@ def make_pictures(
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
-        _animate(path, progress)
+        sample = sample_path()
+        _animate(clean(read_take(sample)).clip, path, progress, compare=sample)
         yield f"wrote {path}"
-        path = folder / "held_box.gif"
-        _carry_a_box(path, progress)
+        path = folder / "held_box.gif"  # a mimed lift: the box goes onto the table
+        take = simulate("box", "store_box", seed=_CARRIER).take
+        clip = clean(take, CleanConfig(scene="box")).clip
+        _animate(clip, path, progress, start=0.8, scene="box")
         yield f"wrote {path}"
         if data is not None:
             path = folder / "hidden_arm.gif"
@@ -185,38 +188,22 @@ def make_pictures(
     yield _take_pictures_of_pages(folder)
 
 
-def _animate(path: Path, progress: Progress) -> None:
-    """Write an animation of the sample take, raw beside cleaned."""
+def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
+    """Write an animation of a clip."""
     from kinefilter.pipeline.look.options import Look
     from kinefilter.pipeline.look.video import render_clips
 
-    sample = sample_path()
     with tempfile.TemporaryDirectory() as folder:
-        clip = Path(folder) / "clip.npz"
-        write_clip(clean(read_take(sample)).clip, clip)
-        look = Look(size=_SIZE, fps=_RATE, compare=sample)
-        render_clips([clip], path, look, progress=progress)
-
-
-def _carry_a_box(path: Path, progress: Progress) -> None:
-    """Write an animation of a mimed lift: the box goes onto the table."""
-    from kinefilter.pipeline.look.options import Look
-    from kinefilter.pipeline.look.video import render_clips
-
-    take = simulate("box", "store_box", seed=_CARRIER).take
-    with tempfile.TemporaryDirectory() as folder:
-        clip = Path(folder) / "clip.npz"
-        write_clip(clean(take, CleanConfig(scene="box")).clip, clip)
-        look = Look(size=_SIZE, fps=_RATE, start=0.8, scene="box")
-        render_clips([clip], path, look, progress=progress)
+        file = Path(folder) / "clip.npz"
+        write_clip(clip, file)
+        look = {"size": _SIZE, "fps": _RATE, **look}
+        render_clips([file], path, Look(**look), progress=progress)
 
 
 def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     """Write an animation of a recorded arm: visible, held while hidden, and hidden."""
     from matplotlib.image import imread
 
-    from kinefilter.pipeline.look.options import Look
-    from kinefilter.pipeline.look.video import render_clips
     from kinefilter.pipeline.look.video_files import encode_png, write_gif
 
     people = {file.stem: file for file in sorted((data / "ui-prmd").glob("s*.npz"))}
@@ -251,17 +238,12 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
             encoding="utf-8",
             newline="\n",
         )
-        look = Look(
-            size="200x240",
-            camera=str(camera),
-            start=begin,
-            to=begin + _ARM_LENGTH,
-            fps=_RATE,
-        )
+        look = {"size": "200x240", "camera": str(camera)}
+        look |= {"start": begin, "to": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):
-            file, pictures = Path(folder) / f"{k}.npz", Path(folder) / str(k)
-            write_clip(cleaner.clean(shown).clip, file)
-            render_clips([file], pictures / "%05d.png", look, progress=progress)
+            pictures = Path(folder) / str(k)
+            shown_clip = cleaner.clean(shown).clip
+            _animate(shown_clip, pictures / "%05d.png", progress, **look)
             columns.append([imread(f) for f in sorted(pictures.glob("*.png"))])
     frames = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
     coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from kinefilter import CleanConfig, clean
-from kinefilter.characters import KINECT_V1
+from kinefilter.characters import KINECT_V1, Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.local_pca import Search
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
-from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.lab.database_build import scripted_postures
 from kinefilter.pipeline.lab.training import observed, standard_truth
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over
@@ -23,9 +23,14 @@ from kinefilter.retarget import HeadingFrame, Standardizer
 from kinefilter.retarget.heading_frame import find_yaw
 from kinefilter.scenes.library import perform, random_body
 
-from .corrected import StandardizedTake, bone_errors
 from .study import Kind, Options, Panel, Row, Study, series_of
-from .study_takes import CLASSES, first_person, performed_by, study_takes
+from .study_takes import (
+    CLASSES,
+    StandardizedTake,
+    first_person,
+    performed_by,
+    study_takes,
+)
 
 _SHUM_1 = {
     "locomotion": (("walk", "run", "march"), 8.1, 15.27),
@@ -172,6 +177,18 @@ def _errors(postures: Array, reliability: Array, method: LocalPCA) -> Array:
     motions = np.array([free, kept])
     errors = [bone_errors(motion, postures, KINECT_V1) for motion in motions]
     return np.stack([error.mean(axis=1) for error in errors], axis=1)
+
+
+def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
+    """Return each segment's error relative to its parent joint [m], shape (T, S).
+
+    Shum 2013, eq. 18, is the mean of these over frames and segments; it ignores where
+    the whole body is. NaN where a joint of the segment is missing in either motion. The
+    motions [m], shape (T, J, 3), have the same frames and orientation.
+    """
+    ends, starts = skeleton.segments, skeleton.segment_parents
+    offsets = one - other
+    return np.asarray(np.linalg.norm(offsets[:, ends] - offsets[:, starts], axis=2))
 
 
 def shum_table_4(options: Options, *, takes: int = 12) -> Study:

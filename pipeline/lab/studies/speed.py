@@ -12,13 +12,13 @@ from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.database.posture_database import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
-from kinefilter.pipeline.lab.scripted_database import scripted_postures
+from kinefilter.pipeline.lab.database_build import scripted_postures
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.progress import Progress, over
 
-from .corrected import StandardizedTake
 from .study import Options, Panel, Study, series_of
+from .study_takes import StandardizedTake
 
 Postures = NDArray[np.float32]
 _Query = tuple[Array, Array]

@@ -11,8 +11,7 @@ from rich.table import Table
 
 from kinefilter.pipeline.progress import Progress, silent
 
-Cell = str | int | float | None
-"""A cell of a table; None if it is empty."""
+Cell = str | int | float | None  # of a table; None if it is empty
 Row = tuple[Cell, ...]
 Kind = Literal["line", "bars", "level"]
 """How a series is drawn; a level is a horizontal line across the whole panel."""
@@ -22,24 +21,18 @@ Kind = Literal["line", "bars", "level"]
 class Options:
     """Settings common to all studies."""
 
-    seed: int = 0
-    """Seed of simulated people, performances and sensor errors."""
-    data: Path | None = None
-    """Folder of recordings; None: simulated takes only."""
-    progress: Progress = silent
-    """Wraps the loops, for a progress bar."""
+    seed: int = 0  # seed of simulated people, performances and sensor errors
+    data: Path | None = None  # folder of recordings; None: simulated takes only
+    progress: Progress = silent  # wraps the loops, for a progress bar
 
 
 @dataclass(frozen=True)
 class Series:
     """One line of a plot, or one color of bars."""
 
-    label: str
-    """Its name in the legend; figures of the paper begin with ``paper``."""
-    x: Sequence[float] | Sequence[str]
-    """Positions along the axis; for bars, the names of the groups."""
-    y: Sequence[float]
-    """Values; a single one for a level."""
+    label: str  # in the legend; figures of the paper begin with paper
+    x: Sequence[float] | Sequence[str]  # for bars, the names of the groups
+    y: Sequence[float]  # values; a single one for a level
     kind: Kind = "line"
 
 
@@ -47,30 +40,23 @@ class Series:
 class Panel:
     """One pair of axes."""
 
-    x_label: str
-    """What is varied, with its unit."""
-    y_label: str
-    """What is measured, with its unit."""
+    x_label: str  # what is varied, with its unit
+    y_label: str  # what is measured, with its unit
     series: Sequence[Series]
     log_x: bool = False
     log_y: bool = False
-    zero: bool = True
-    """Whether a linear y axis begins at 0."""
+    zero: bool = True  # whether a linear y axis begins at 0
 
 
 @dataclass(frozen=True)
 class Study:
     """The result of one study."""
 
-    title: str
-    """The topic, and where the paper covers it."""
-    columns: Sequence[str]
-    """Column names; those of the paper's figures begin with ``paper``."""
+    title: str  # the topic, and where the paper covers it
+    columns: Sequence[str]  # those of the paper's figures begin with paper
     rows: Sequence[Sequence[Cell]]
-    panels: Sequence[Panel]
-    """The plot, row by row."""
-    across: int = 1
-    """Number of panels side by side."""
+    panels: Sequence[Panel]  # the plot, row by row
+    across: int = 1  # number of panels side by side
 
 
 def series_of(

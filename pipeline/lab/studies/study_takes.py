@@ -12,10 +12,15 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from kinefilter.characters import InputError
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.simulation import simulate
+from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.retarget import Standardizer
 
 from .study import Options
 
@@ -157,3 +162,20 @@ def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTak
         pair = simulate("basic", _MOVEMENTS[m], seed=person + 100 * n, person=person)
         clip = f"m{m + 1:02d}_s{k + 1:02d}_e{e + 1:02d}"  # named like recorded clips
         yield replace(pair, subject=name, clip=clip)
+
+
+class StandardizedTake:
+    """A take on the standard body, and its ground truth."""
+
+    def __init__(self, pair: PairedTake) -> None:
+        self.pair = pair
+        self._draft = observed(pair)
+        self.positions = self._draft.standard
+        """Postures [m] in the heading frame, NaN where missing, shape (T, J, 3)."""
+        missing = np.isnan(self.positions[..., 0])
+        self.reliability = np.where(missing, 0.0, self._draft.reliability)
+        """Reliability, 0 where missing, shape (T, J)."""
+
+    def undo(self, positions: Array) -> Array:
+        """Return standard postures (T, J, 3) on the person, in the sensor frame."""
+        return Standardizer(self._draft.body).undo(positions, self._draft.heading)

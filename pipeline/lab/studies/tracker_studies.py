@@ -10,16 +10,16 @@ from itertools import product
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V1, State
+from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.lab.accuracy import FAR, LIMBS
+from kinefilter.pipeline.lab.accuracy import FAR, LIMBS, mean_of_known
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
-from kinefilter.pipeline.lab.simulation import simulated_pair
+from kinefilter.pipeline.lab.simulation import simulated_pair, truth_of
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
@@ -185,7 +185,9 @@ def tracker_lessons(
         for tracker in _TRACKERS:
             without = [_without_offsets(pair) for pair in simulated[tracker]]
             simulated[f"{tracker}, offsets off"] = without
-        simulated["perfect"] = [_without_errors(pair) for pair in simulated["model"]]
+        simulated["perfect"] = [
+            replace(p, take=truth_of(p)) for p in simulated["model"]
+        ]
         sets: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
         sets |= {name: (pairs, []) for name, pairs in simulated.items()}
         sets["recorded"] = (known, [])
@@ -215,17 +217,10 @@ def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[Paired
     return known, test
 
 
-def _without_errors(pair: PairedTake) -> PairedTake:
-    """Return the take as a perfect sensor would have recorded it."""
-    state = np.full_like(pair.take.state, State.TRACKED)
-    return replace(pair, take=replace(pair.take, positions=pair.truth, state=state))
-
-
 def _without_offsets(pair: PairedTake) -> PairedTake:
     """Return the take as recorded without each joint's constant offset."""
-    errors = pair.take.positions - pair.truth
-    count = np.maximum((~np.isnan(errors)).sum(axis=0), 1)
-    positions = pair.take.positions - np.nansum(errors, axis=0) / count
+    offsets = mean_of_known(pair.take.positions - pair.truth)
+    positions = pair.take.positions - np.nan_to_num(offsets)
     return replace(pair, take=replace(pair.take, positions=positions))
 
 

@@ -1,8 +1,8 @@
-"""Training and test data of the papers' systems."""
+"""The papers' systems on trial: training and test data, errors, joints followed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -13,13 +13,13 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.lab.accuracy import Accuracy
-from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
+from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
+from kinefilter.pipeline.lab.evaluate import folds_of
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
+from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
-from .study import Options
+from .study import Options, Panel, Row, Series, Study
 from .study_takes import clips_of, first_person, performed_by, recorded_people
 
 _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them anyway
@@ -29,8 +29,7 @@ _TRAIN_EVERY = 4  # one in this many recorded clips: presets use a part of them 
 class Group:
     """Takes that systems are tested on, with the systems' training data."""
 
-    people: str
-    """Whether the people are ``new`` to the systems or ``known``."""
+    people: str  # whether the people are new to the systems or known
     tests: list[PairedTake]
     trainer: CorrectorFactory
 
@@ -83,7 +82,8 @@ def simulated(
     testers, progress = max(learners // share, 1), options.progress
 
     record = partial(performed_by, motions=motions, sensor=sensor, progress=progress)
-    trainer = trainer_of(record(range(first, first + learners)), options)
+    learned = record(range(first, first + learners))
+    trainer = CorrectorFactory(learned, progress=progress)
     strangers = record(range(new, new + testers))
     known = record(range(first, first + testers), again=True)
     return [Group("new", strangers, trainer), Group("known", known, trainer)]
@@ -97,43 +97,26 @@ def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Gro
     none.
     """
     people = recorded_people(options.data)[:count] if options.data else []
-    left_out = people if len(people) > 1 else []
-    for person in [*left_out, None] if people else []:
-        train, test = split(people, person, options)
-        who = "new" if person else "known"
-        yield Group(f"recorded, {who}", test[::every], trainer_of(train, options))
+    for who, train, test in recorded_folds(people, options):
+        trainer = CorrectorFactory(train, progress=options.progress)
+        yield Group(f"recorded, {who}", test[::every], trainer)
 
 
-def split(
-    people: Sequence[str], person: str | None, options: Options
-) -> tuple[list[PairedTake], list[PairedTake]]:
-    """Return training clips, every fourth of those available, and test clips.
+def recorded_folds(
+    people: Sequence[str], options: Options
+) -> Iterator[tuple[str, list[PairedTake], list[PairedTake]]]:
+    """Yield ``new`` or ``known``, training clips and test clips of recorded people.
 
-    The test clips are those of one person, and the training clips those of the others.
-    If ``person`` is None, training uses repetitions 1 to 7 of all people, and testing 8
-    to 10.
+    First the clips of each person, with those of the others for training, then
+    repetitions 8 to 10 of all, with 1 to 7 for training: every fourth in each case.
     """
     clips = clips_of(people, 10, options)
-
-    def is_test(pair: PairedTake) -> bool:
-        if person is None:
-            return repetition(pair) > LEARNED_REPETITIONS
-        return pair.subject == person
-
-    test = [clip for clip in clips if is_test(clip)]
-    return [clip for clip in clips if not is_test(clip)][::_TRAIN_EVERY], test
-
-
-def trainer_of(clips: list[PairedTake], options: Options) -> CorrectorFactory:
-    """Return an object that trains systems on clips, with the built-in database."""
-    skeleton = clips[0].take.skeleton
-    return CorrectorFactory(
-        clips,
-        skeleton,
-        people=False,
-        database=builtin_database(skeleton),
-        progress=options.progress,
-    )
+    if len(people) > 1:
+        for train, test in folds_of(clips, (), "people"):
+            yield "new", train[::_TRAIN_EVERY], test
+    if people:
+        for train, test in folds_of(clips, (), "repetitions"):
+            yield "known", train[::_TRAIN_EVERY], test
 
 
 def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
@@ -144,3 +127,56 @@ def errors(groups: Sequence[Group], preset: str | None) -> dict[str, float]:
 def mean_cm(*parts: Array) -> float:
     """Return the mean of distances [m], ignoring NaN, in cm."""
     return float(100.0 * np.nanmean(np.concatenate(parts)))
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A joint to follow through a motion."""
+
+    motion: str
+    joint: str  # one of LIMBS
+    paper: Mapping[str, float | None]  # its mean errors [cm]: kinect's, then presets'
+
+
+def trace_study(
+    options: Options,
+    title: str,
+    traces: Sequence[Trace],
+    *,
+    people: int,
+    sensor: str,
+    standard: bool = False,
+) -> Study:
+    """Return errors of joints, and plot them through a take of a known person.
+
+    ``people`` are in the training data, and a quarter as many are tested. With
+    ``standard``, both motions are brought to standard segment lengths first. Jitter is
+    the mean third difference [m/s^3].
+    """
+    rows, panels = list[Row](), list[Panel]()
+    for trace in traces:
+        groups = simulated(options, [trace.motion], learners=people, sensor=sensor)
+        k, name = LIMBS.index(trace.joint), f"{trace.joint}, {trace.motion}"
+        lines = []
+        _, *presets = trace.paper
+        for n, (system, paper) in enumerate(trace.paper.items()):
+            means, jitters = [], []
+            for group in groups:
+                run, accuracy = group.runners(presets)[n], group.accuracy
+                motions = [run(pair.take) for pair in group.tests]
+                distances = accuracy.standardized if standard else accuracy.distances
+                both = zip(motions, group.tests, strict=True)
+                found = [distances(motion, pair.truth)[:, k] for motion, pair in both]
+                means.append(mean_cm(*found))
+                joint = [motion[:, [accuracy.limbs[k]]] for motion in motions]
+                times = [pair.take.time for pair in group.tests]
+                jitters.append(float(np.mean([*map(jitter, times, joint)])))
+            rows.append((f"{name}, {system}", *means, *jitters, paper))
+            line = 100.0 * np.nan_to_num(found[0])
+            lines.append(Series(system, times[0].tolist(), line.tolist()))
+        panels.append(Panel(f"s, {name}", "error, cm", lines))
+    header = (
+        *("joint, motion, system", "new_cm", "known_cm", "new_jitter"),
+        *("known_jitter", "paper_cm"),
+    )
+    return Study(title, header, rows, panels, across=len(panels))
