@@ -21,7 +21,7 @@ from kinefilter.characters import InputError
 
 from .commands.terminal import ended_gently, err
 from .formats.plain import printable
-from .workers import one_thread
+from .workers import one_thread, set_variables
 
 _GROUPS = {
     "daily": "clean, batch, merge, info, render, report, view, character, blender",
@@ -59,6 +59,7 @@ the input or the command was wrong, or a file could not be written; 130, interru
 the same batch or reproduce --all command resumes where it ended. Files are
 written whole or not at all."""
 
+_CONFIG = (tyro.conf.HelptextFromCommentsOff,)  # whose search takes long
 _INTERRUPTED = 130  # as shells report a program ended by Ctrl-C
 _UNREAD = 141  # and one whose output is no longer read
 
@@ -70,6 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
+        if arguments is None and words[:1] == ["clean"]:
+            # It draws nothing, and looking for OpenGL takes a tenth of a second.
+            with set_variables({"MUJOCO_GL": "disable"}):
+                import_module("mujoco")
         return _run(words)
     except InputError as error:
         err.print(f"kinefilter: {printable(str(error))}")
@@ -108,14 +113,16 @@ def _read(words: Sequence[str]) -> Any:
     with _paragraphs_joined():
         if words and words[0] in COMMANDS:
             prog = f"kinefilter {words[0]}"
-            return tyro.cli(_command(words[0]), prog=prog, args=words[1:])
+            command = _command(words[0])
+            return tyro.cli(command, prog=prog, args=words[1:], config=_CONFIG)
         listed = []
         for name in COMMANDS:
             kind = _command(name)
             summary = (kind.__doc__ or "").split("\n")[0]
             listed.append(Annotated[kind, subcommand(name, description=summary)])
         union: Any = reduce(or_, listed)
-        return tyro.cli(union, prog="kinefilter", description=_DESCRIPTION, args=words)
+        about = {"prog": "kinefilter", "description": _DESCRIPTION}
+        return tyro.cli(union, **about, args=words, config=_CONFIG)
 
 
 @contextmanager

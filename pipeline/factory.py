@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, cast
 
 from kinefilter.characters import InputError, Skeleton
@@ -11,7 +10,7 @@ from .config import CleanConfig
 from .correct import Corrector, CorrectorChain, LocalPCA
 from .database import PostureDatabase, builtin_database
 from .methods import METHODS
-from .models import Model, load_model
+from .models import Model, load_model, shipped_model
 
 _MINIMUM = 0.5
 """Minimum reliability of a measured joint after a model corrected it, which makes it
@@ -65,13 +64,6 @@ def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
     skeleton = database.skeleton
     methods = shipped_model(skeleton), LocalPCA(database, **options)
     return CorrectorChain(*methods)
-
-
-def shipped_model(skeleton: Skeleton) -> Corrector:
-    """Return the shipped corrector (from ``lab.training``) for a skeleton."""
-    path = Path(__file__).with_name("embedded") / "learned.npz"
-    learned = load_model(path).corrector
-    return learned.from_arrays(skeleton, learned.arrays())
 
 
 def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:

@@ -62,7 +62,7 @@ def one_thread() -> Iterator[None]:
     cores training is eight times as fast with one.
     """
     # The environment is for libraries loaded later, and for new processes.
-    with _environment(_ONE_THREAD), threadpool_limits(1):
+    with set_variables(_ONE_THREAD), threadpool_limits(1):
         yield
 
 
@@ -77,7 +77,7 @@ def workers(
     # Not forked, which threads of the engine and of linear algebra do not survive.
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    with one_thread(), _environment(environment or {}):
+    with one_thread(), set_variables(environment or {}):
         pool = ProcessPoolExecutor(
             at_most(count or cores()),
             mp_context=context,
@@ -95,7 +95,8 @@ def workers(
 
 
 @contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+def set_variables(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables for a while."""
     before = dict(os.environ)
     os.environ.update(variables)
     try:
@@ -137,7 +138,7 @@ class Worker:
         receiver, self._sender = context.Pipe(duplex=False)
         arguments = calls, receiver
         self.process = context.Process(target=_serve, args=arguments, daemon=True)
-        with calls, receiver, _environment(_ONE_THREAD), _uninterrupted():
+        with calls, receiver, set_variables(_ONE_THREAD), _uninterrupted():
             self.process.start()
 
     def call(self, function: Callable[[Any], object], argument: object) -> None:
