@@ -46,8 +46,16 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 
     Paths in it are relative to the folder; without one, they must be absolute.
     """
-    values, expected = {}, "write lines such as cutoff = 4.0"
-    for key, value in parse_toml(text, name, expected).items():
+    expected = "write lines such as cutoff = 4.0"
+    return settings_in(parse_toml(text, name, expected), name, folder)
+
+
+def settings_in(
+    table: Mapping[str, Any], name: str, folder: Path | None
+) -> SettingsFile:
+    """Return the settings in a table; arguments and errors as for parse_settings."""
+    values = {}
+    for key, value in table.items():
         field = key.replace("-", "_")
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
@@ -55,6 +63,26 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
         where = f"{name}: {key}"
         values[field] = _absolute(converted(value, _HINTS[field], where), where, folder)
     return SettingsFile(name, values)
+
+
+def as_table(settings: Settings) -> dict[str, Any]:
+    """Return a table, for JSON, of the settings that are not the defaults."""
+    table: dict[str, Any] = {}
+    for part, default in (
+        (settings, Settings()),
+        (settings.config, CleanConfig()),
+        (settings.export, Export()),
+    ):
+        for name, value in vars(part).items():
+            if name in _HINTS and value != getattr(default, name):
+                table[name] = _plain(value)
+    return table
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return str(value.absolute()) if isinstance(value, Path) else value
 
 
 def overlaid(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, TypeGuard
@@ -70,14 +70,17 @@ def fingerprint(settings: Settings, suffix: str) -> str:
     """Return a hash of everything but the take that decides the bytes of a clip.
 
     Files count by their content; ``suffix`` is the extension of the clip, such as
-    ``.usdc``. Raises an InputError if a file does not exist.
+    ``.usdc``. Edits come last, after a dash, so that the rest can be compared without
+    them. Raises an InputError if a file does not exist.
     """
-    known = asdict(settings)
+    edits = settings.config.edits
+    known = asdict(replace(settings, config=replace(settings.config, edits=None)))
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
     text = json.dumps(known, sort_keys=True, default=hash_of)
     names = (settings.config.scene, settings.export.rig)
     files = [hash_of(Path(name)) for name in names if names_file(name)]
-    return hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
+    hashed = hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
+    return hashed if edits is None else f"{hashed}-{hash_of(edits)[:32]}"
 
 
 def hash_of(path: Path) -> str:

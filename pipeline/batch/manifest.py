@@ -18,7 +18,7 @@ import time
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,6 +70,9 @@ class Row:
     stamp: str  # size and time of the take's file when it was read
     sha256: str = ""  # of the take's file; empty if it could not be read
     settings: str = ""  # their fingerprint
+    options: dict[str, Any] = field(default_factory=dict)
+    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
+    edits beside the take."""
     seconds: float = 0.0  # computing time
     clips: tuple[ClipRow, ...] = ()  # one per person or part
     error: str = ""  # why a clip is missing
@@ -86,12 +89,13 @@ class Row:
         """Parse a line; raises ValueError if it is damaged or its version too old."""
         values = json.loads(line)
         try:
-            # Rows of older versions lack damage and sensors.
+            # Rows of older versions lack damage, sensors and options.
             for clip in values["clips"]:
                 for key in ("notes", "damage"):
                     clip[key] = tuple(clip.get(key, ()))
             values["clips"] = tuple(ClipRow(**clip) for clip in values["clips"])
             values["sensors"] = tuple(values.get("sensors", ()))
+            values["options"] = dict(values.get("options", {}))
             return cls(**values)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None
