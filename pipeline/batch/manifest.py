@@ -70,15 +70,15 @@ class Row:
     stamp: str  # size and time of the take's file when it was read
     sha256: str = ""  # of the take's file; empty if it could not be read
     settings: str = ""  # their fingerprint
-    options: dict[str, Any] = field(default_factory=dict)
-    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
-    edits beside the take."""
     seconds: float = 0.0  # computing time
     clips: tuple[ClipRow, ...] = ()  # one per person or part
     error: str = ""  # why a clip is missing
     sensors: tuple[dict[str, Any], ...] = ()
     """Each sensor's take and alignment in a session (``Merged.figures``); a single one
     for a take without a partner."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
+    edits beside the take."""
 
     def as_json(self) -> str:
         """Return the row as a line of JSON, without a line break."""

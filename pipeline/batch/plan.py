@@ -296,11 +296,11 @@ def with_edits(session: Session) -> Session:
     and not looked for at a URL.
     """
     settings, source = session.settings, session.sources[0]
-    path = _beside(source)
     named = settings.config.edits is not None or settings.body == "all"
-    if named or not source.store.is_local or not path.is_file():
+    name = edits_beside(Path(source.file.name)).as_posix()
+    if named or not source.store.is_local or source.store.find(name) is None:
         return session
-    config = replace(settings.config, edits=path)
+    config = replace(settings.config, edits=_beside(source))
     return session._replace(settings=replace(settings, config=config))
 
 
