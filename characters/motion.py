@@ -84,6 +84,7 @@ _SHAPES = {
     "time": "T",
     "positions": "TJ3",
     "root": "T3",
+    "face": "T3",
     "rotations": "TJ4",
     **dict.fromkeys((*_CODES, *_LARGEST), "TJ"),
     "contacts": "T4",
@@ -95,6 +96,7 @@ _SHAPES = {
 def _shapes(kind: Any, frames: int, joints: int) -> dict[str, tuple[int, ...]]:
     lengths = {"T": frames, "J": joints, "3": 3, "4": 4}
     names = [field.name for field in fields(kind) if field.name in _SHAPES]
+    names = [name for name in names if getattr(kind, name, 0) is not None]
     return {name: tuple(lengths[k] for k in _SHAPES[name]) for name in names}
 
 
@@ -217,6 +219,9 @@ class Take(_Frames):
     """Origin of the take, for messages."""
     by_kinect: bool = True
     """True if the joints have the constant offsets of a Kinect's tracker."""
+    face: Array | None = None
+    """Unit vectors to where the face looks, sensor frame, shape (T, 3), NaN where
+    unknown; None if the sensor does not see faces."""
 
     def __post_init__(self) -> None:
         _check(self)
@@ -228,11 +233,18 @@ class Take(_Frames):
         freeze(self)
 
     def swapped(self, frames: Any = np.s_[:]) -> Take:
-        """Return the take with left and right swapped, in all or some of its frames."""
+        """Return the take with left and right swapped, in all or some of its frames.
+
+        Whoever is seen from behind has no face there.
+        """
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):
             values[frames] = values[frames][:, self.skeleton.mirror]
-        return replace(self, positions=positions, state=state)
+        face = self.face
+        if face is not None:
+            face = face.copy()
+            face[frames] = np.nan
+        return replace(self, positions=positions, state=state, face=face)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -121,8 +121,13 @@ def _read(words: Sequence[str]) -> Any:
             summary = (kind.__doc__ or "").split("\n")[0]
             listed.append(Annotated[kind, subcommand(name, description=summary)])
         union: Any = reduce(or_, listed)
-        about = {"prog": "kinefilter", "description": _DESCRIPTION}
-        return tyro.cli(union, **about, args=words, config=_CONFIG)
+        return tyro.cli(
+            union,
+            prog="kinefilter",
+            description=_DESCRIPTION,
+            args=words,
+            config=_CONFIG,
+        )
 
 
 @contextmanager

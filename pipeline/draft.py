@@ -44,6 +44,9 @@ class Draft:
     """Where the take came from, for messages."""
     by_kinect: bool = True
     """True if the joints come from a Kinect's tracker."""
+    face: Array | None = None
+    """Unit vectors to where the face looks, in the frame of ``positions``, NaN where
+    unknown, shape (3,); None if the sensor does not see faces."""
     elapsed: float = 1.0 / 30.0
     """Time since the previous frame [s]; frames only."""
 
@@ -114,12 +117,12 @@ class Draft:
     def of(cls, take: Take) -> Draft:
         """Return the initial draft of a take."""
         fields = (take.skeleton, take.time, take.positions, take.state, take.source)
-        return cls(*fields, take.by_kinect)
+        return cls(*fields, take.by_kinect, take.face)
 
     def take(self) -> Take:
         """Return the measurements as a take."""
         fields = (self.time, self.measured, self.state, self.skeleton, self.source)
-        return Take(*fields, by_kinect=self.by_kinect)
+        return Take(*fields, by_kinect=self.by_kinect, face=self.face)
 
     @property
     def parts(self) -> list[Draft]:

@@ -124,6 +124,11 @@ class Edit:
         return np.asarray((begin <= since) & (since <= end))
 
 
+def edits_beside(path: Path) -> Path:
+    """Return the file of edits of a take or clip: wave.edits.toml for wave.csv.gz."""
+    return path.parent / f"{Path(path.name.removesuffix('.gz')).stem}.edits.toml"
+
+
 def read_edits(path: Path) -> tuple[Edit, ...]:
     """Read an edits file; raises InputError if it is malformed."""
     table, source = read_toml(path, _EXPECTED), os.fspath(path)

@@ -119,14 +119,17 @@ def fingerprint(settings: Settings, suffix: str) -> str:
     """Return a hash of everything but the take that decides the bytes of a clip.
 
     Files count by their content; ``suffix`` is the extension of the clip, such as
-    ``.usdc``. Raises an InputError if a file does not exist.
+    ``.usdc``. Edits come last, after a dash, so that the rest can be compared without
+    them. Raises an InputError if a file does not exist.
     """
-    known = asdict(settings)
+    edits = settings.config.edits
+    known = asdict(replace(settings, config=replace(settings.config, edits=None)))
     known |= {"suffix": suffix, "kinefilter": version("kinefilter")}
     text = json.dumps(known, sort_keys=True, default=hash_of)
     names = (settings.config.scene, settings.export.rig)
     files = [hash_of(Path(name)) for name in names if names_file(name)]
-    return hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
+    hashed = hashlib.sha256("\n".join([text, *files]).encode()).hexdigest()[:32]
+    return hashed if edits is None else f"{hashed}-{hash_of(edits)[:32]}"
 
 
 def hash_of(path: Path) -> str:
@@ -170,8 +173,16 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 
     Paths in it are relative to the folder; without one, they must be absolute.
     """
-    values, expected = {}, "write lines such as cutoff = 4.0"
-    for key, value in parse_toml(text, name, expected).items():
+    expected = "write lines such as cutoff = 4.0"
+    return settings_in(parse_toml(text, name, expected), name, folder)
+
+
+def settings_in(
+    table: Mapping[str, Any], name: str, folder: Path | None
+) -> SettingsFile:
+    """Return the settings in a table; arguments and errors as for parse_settings."""
+    values = {}
+    for key, value in table.items():
         field = key.replace("-", "_")
         if field not in _HINTS:
             known = ", ".join(sorted(name.replace("_", "-") for name in _HINTS))
@@ -179,6 +190,26 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
         where = f"{name}: {key}"
         values[field] = _absolute(converted(value, _HINTS[field], where), where, folder)
     return SettingsFile(name, values)
+
+
+def as_table(settings: Settings) -> dict[str, Any]:
+    """Return a table, for JSON, of the settings that are not the defaults."""
+    table: dict[str, Any] = {}
+    for part, default in (
+        (settings, Settings()),
+        (settings.config, CleanConfig()),
+        (settings.export, Export()),
+    ):
+        for name, value in vars(part).items():
+            if name in _HINTS and value != getattr(default, name):
+                table[name] = _plain(value)
+    return table
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return str(value.absolute()) if isinstance(value, Path) else value
 
 
 def overlaid(

@@ -131,6 +131,7 @@ class Failures(Stage):
             without_impossible_bodies(take, draft.failures), draft.failures
         )
         draft.measured, draft.state = repaired.positions, repaired.state
+        draft.face = repaired.face
 
 
 class MeasureBody(Stage):

@@ -18,8 +18,10 @@ import pytest
 import viser
 from browser import Browser
 from numpy.typing import NDArray
+from viewing import viewing
 
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
+from kinefilter.pipeline.batch import clean_files, read_rows
 from kinefilter.pipeline.edits import Edit, read_edits
 from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulation import simulate_session
@@ -27,6 +29,7 @@ from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.viewer import CleanAgain, Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.settings import Settings, hash_of
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
 _PATIENCE = 60.0  # s: WebGL on a busy processor is slow
@@ -197,6 +200,34 @@ def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
     assert shown == (runs + again.contacts[0]).tolist()
     page.run(_PRESS, "remove")
     _wait(lambda: "2. " not in page.run(_LISTED))
+
+
+@pytest.mark.usefixtures("here")
+def test_a_listed_take_is_cleaned_again_in_the_folder_of_its_batch(
+    browser: Browser, tmp_path: Path
+) -> None:
+    takes, clips = tmp_path / "takes", tmp_path / "clips"
+    takes.mkdir()
+    (takes / "wave.csv").write_bytes(sample_path().read_bytes())
+    quick = Settings(CleanConfig(method="none", physics=False))
+    once = clean_files([str(takes)], str(clips), quick, suffix=".npz").rows[0].clips[0]
+    with viewing([str(clips), "--take", str(takes)]) as (_, address):
+        browser.open(address)
+        _wait(lambda: "frame 1 of 298" in browser.run(_TEXT))
+        browser.run(_PRESS, "distrust")
+        _wait(lambda: "1. left-arm distrusted" in browser.run(_LISTED))
+        browser.run(_PRESS, "Save and clean again")
+        _wait(lambda: f"cleaned with {takes / 'wave.edits.toml'}" in browser.run(_TEXT))
+        (row,) = read_rows(clips)
+        assert any("left-arm distrusted" in note for note in row.clips[0].notes)
+        assert once.sha256 != row.clips[0].sha256 == hash_of(clips / "wave.npz")
+        (takes / "wave.csv").unlink()
+        browser.run(_PRESS, "Save and clean again")
+        _wait(lambda: "wave.csv: there is no such file" in browser.run(_TEXT))
+    assert read_rows(clips) == [row]
+    (takes / "wave.csv").write_bytes(sample_path().read_bytes())
+    again = clean_files([str(takes)], str(clips), quick, suffix=".npz")
+    assert again.rows == []
 
 
 def test_a_page_from_elsewhere_cannot_connect(

@@ -17,7 +17,7 @@ import time
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -76,6 +76,9 @@ class Row:
     sensors: tuple[dict[str, Any], ...] = ()
     """Each sensor's take and alignment in a session (``Merged.figures``); a single one
     for a take without a partner."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
+    edits beside the take."""
 
     def as_json(self) -> str:
         """Return the row as a line of JSON, without a line break."""
@@ -86,12 +89,13 @@ class Row:
         """Parse a line; raises ValueError if it is damaged or its version too old."""
         values = json.loads(line)
         try:
-            # Rows of older versions lack damage and sensors.
+            # Rows of older versions lack damage, sensors and options.
             for clip in values["clips"]:
                 for key in ("notes", "damage"):
                     clip[key] = tuple(clip.get(key, ()))
             values["clips"] = tuple(ClipRow(**clip) for clip in values["clips"])
             values["sensors"] = tuple(values.get("sensors", ()))
+            values["options"] = dict(values.get("options", {}))
             return cls(**values)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None

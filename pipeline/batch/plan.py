@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from kinefilter.characters import InputError
+from kinefilter.pipeline.edits import edits_beside
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
 from kinefilter.pipeline.formats.plain import printable
@@ -19,13 +20,14 @@ from kinefilter.pipeline.settings import (
     FOLDER_FILE,
     Settings,
     SettingsFile,
+    as_table,
     fingerprint,
     overlaid,
     parse_settings,
 )
 
 from .manifest import Row, Status
-from .sessions import Source, find_sessions
+from .sessions import Session, Source, find_sessions
 from .store import Store, StoredFile, canonical, is_folder, is_url, store_at
 
 _TAKES = (".csv", ".txt", ".json", ".skeleton", ".bvh", ".npy", ".trc", ".c3d")
@@ -186,7 +188,11 @@ class Job:
             {"sensor": sensor, "source": source.take}
             for sensor, source in zip(self.sensors, self.sources, strict=False)
         )
-        values = {"settings": self.fingerprint, "sensors": sensors} | values
+        options = as_table(self.settings)
+        if options.get("edits") == str(_beside(self.sources[0])):
+            del options["edits"]
+        own = {"settings": self.fingerprint, "options": options, "sensors": sensors}
+        values = own | values
         return Row(self.take, status, self.output, self.stamp, **values)
 
     def is_done(self, row: Row, written: Mapping[str, StoredFile]) -> bool:
@@ -228,9 +234,10 @@ def plan_jobs(
     Settings are those of ``settings``, overridden by ``files``, later ones last, then
     by ``kinefilter.toml`` in the folders from the searched one down to the take's. No
     file changes the settings ``given`` by the user. A session uses the settings of its
-    first take. Clips end in ``suffix``, such as ``.usdc``. Raises InputError if a
-    settings file is wrong, one take's contacts or edits would apply to several takes, a
-    pattern of sessions matches no take, or a clip would overwrite a take.
+    first take, and the edits beside that (``with_edits``). Clips end in ``suffix``,
+    such as ``.usdc``. Raises InputError if a settings file is wrong, one take's
+    contacts or edits would apply to several takes, a pattern of sessions matches no
+    take, or a clip would overwrite a take.
     """
 
     @cache
@@ -253,7 +260,7 @@ def plan_jobs(
     ]
     for one in dict.fromkeys(chosen):
         _check(one, store, suffix)
-    sessions = find_sessions(sources, chosen)
+    sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
     stems = [
@@ -281,6 +288,25 @@ def plan_jobs(
                 "output folder"
             )
     return sorted(jobs, key=lambda job: (-job.size, job.take))
+
+
+def with_edits(session: Session) -> Session:
+    """Return a session that uses the edits beside its first take, if there are any.
+
+    They are not used if the settings name a file of edits or all people are cleaned,
+    and not looked for at a URL.
+    """
+    settings, source = session.settings, session.sources[0]
+    named = settings.config.edits is not None or settings.body == "all"
+    name = edits_beside(Path(source.file.name)).as_posix()
+    if named or not source.store.is_local or source.store.find(name) is None:
+        return session
+    config = replace(settings.config, edits=_beside(source))
+    return session._replace(settings=replace(settings, config=config))
+
+
+def _beside(source: Source) -> Path:
+    return edits_beside(Path(source.store.path(source.file.name)))
 
 
 def _check(settings: Settings, out: Store, suffix: str) -> None:

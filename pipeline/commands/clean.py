@@ -216,7 +216,8 @@ class Batch:
     anything changed: the take, its clip, the options, a database or model, or
     kinefilter's version. A file kinefilter.toml in a folder holds options for the takes
     in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz"; options on
-    the command line override it.
+    the command line override it. Edits that 'kinefilter view' saved beside a take, as
+    NAME.edits.toml, are applied, unless --edits names others or --body is all.
 
     With --sessions '{name}_{sensor}.csv*', takes whose names differ only in {sensor}
     are treated as simultaneous: they become one clip, NAME, as with 'kinefilter clean A

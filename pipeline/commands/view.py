@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
-from kinefilter.pipeline.edits import Edit, EditsFile
+from kinefilter.pipeline.edits import Edit, EditsFile, edits_beside
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
@@ -47,7 +47,7 @@ class View:
     """A take in any of the formats of --format, which is cleaned first, or one take per
     sensor; or a clip (.npz, USD or GLB), which is shown as it is. With --take, .bvh and
     .csv are clips too. Or a folder of clips from batch, which are listed with the worst
-    first."""
+    first; those whose takes are found with --take can be cleaned again there."""
     config: OmitArgPrefixes[CleanConfig] = field(default_factory=CleanConfig)
     format: TakeFormat | None = None
     """Format of the take; default: detected from its content."""
@@ -83,7 +83,7 @@ class View:
 
         if not self.motion:
             raise InputError("nothing to view; give a take or a clip")
-        save = self.config.edits or _edits_beside(self.motion[0])
+        save = self.config.edits or edits_beside(self.motion[0])
         self._check(save)
         with suppress(KeyboardInterrupt):  # the regular way to quit
             drawing, again = self._drawing(EditsFile(save).read())
@@ -112,35 +112,54 @@ class View:
         clips = worst_first(read_rows(folder))
         if not clips:
             raise InputError(f"{folder}: its manifest lists no clips")
-        names = []
-        for row, clip in clips:
-            take, *figures = figures_of(row, clip).items()
-            names.append(f"{take[1]} ({', '.join(map(' '.join, figures))})")
-        opened, number = self._open_listed(folder, *clips[0]), 0
+
+        def names() -> Iterator[str]:
+            for row, clip in clips:
+                take, *figures = figures_of(row, clip).items()
+                yield f"{take[1]} ({', '.join(map(' '.join, figures))})"
+
+        opened, number = self._open_listed(folder, clips, 0), 0
         with opened_server(self.bind, self.port) as server, suppress(KeyboardInterrupt):
-            viewer = Viewer(server, *opened, listed=names)
+            viewer = Viewer(server, *opened, listed=[*names()])
             out.print(f"{viewer.address} shows {folder}; press Ctrl-C to quit")
             if self.open:
                 webbrowser.open(viewer.address)
             while (chosen := viewer.run()) is not None:
                 try:
-                    opened = self._open_listed(folder, *clips[chosen])
+                    opened = self._open_listed(folder, clips, chosen)
                     number = chosen
                 except InputError as error:  # the page stays with the take it shows
                     err.print(f"kinefilter: {error}")
                 server.gui.reset()
-                viewer = Viewer(server, *opened, listed=names, shown=number)
+                viewer = Viewer(server, *opened, listed=[*names()], shown=number)
         return 0
 
     def _open_listed(
-        self, folder: Path, row: Row, clip: ClipRow
-    ) -> tuple[Drawing, Path]:
-        """Return the drawing of a clip, with its take if it is found, and the edits."""
-        path = folder / clip.output
-        takes = [t for place in self.take if (t := place / row.take).is_file()]
-        one = replace(self, motion=(path,), take=tuple(takes), body=clip.body)
-        drawing, _ = one._drawing(())
-        return drawing, _edits_beside(takes[0] if takes else path)
+        self, folder: Path, clips: list[tuple[Row, ClipRow]], number: int
+    ) -> tuple[Drawing, Path, CleanAgain]:
+        """Return the drawing of a clip, its file of edits, and what cleans it again.
+
+        The drawing has the take if it is found and of one sensor. Cleaning again
+        replaces the clip in the folder, and its row in ``clips``.
+        """
+        from kinefilter.pipeline.batch import clean_again, find_takes
+
+        row, clip = clips[number]
+        path, takes = folder / clip.output, find_takes(row, self.take)
+        shown = tuple(takes) if len(takes) == 1 else ()
+        one = replace(self, motion=(path,), take=shown, body=clip.body)
+
+        def again(edits: Sequence[Edit], progress: Progress) -> Drawing:
+            old = clips[number][0]
+            for _ in progress("clean", 1):
+                new = clean_again(old, folder, takes)
+            made = {clip.output: (new, clip) for clip in new.clips}
+            for k, (_, clip) in enumerate(clips):
+                clips[k] = made.get(clip.output, clips[k])
+            return one._drawing(edits)[0]
+
+        save = edits_beside(takes[0] if takes else path)
+        return one._drawing(())[0], save, again
 
     def _check(self, save: Path) -> None:
         """Check all options before doing any work."""
@@ -247,11 +266,6 @@ class View:
 
         with progress_bars() as progress:
             return draw(edits, progress), draw
-
-
-def _edits_beside(path: Path) -> Path:
-    """Return the file of edits of a take or clip: wave.edits.toml for wave.csv.gz."""
-    return path.parent / f"{Path(path.name.removesuffix('.gz')).stem}.edits.toml"
 
 
 @dataclass(frozen=True)

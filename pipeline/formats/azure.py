@@ -8,18 +8,24 @@ levels (k4abt_joint_confidence_level_t) to a body: 32 numbers under any name tha
 contains ``confidence``.
 
 The 32 joints are converted to the 25 of Kinect v2, on which everything else is based:
-bodies, database, reliability, failures. Face and clavicles add nothing to the body.
+bodies, database, reliability, failures. Eyes, ears and nose show where the face looks.
+Clavicles add nothing to the body. Orientations are not read: Microsoft defines their
+axes only in a figure, and those of hands are reported to turn at random
+(microsoft/Azure-Kinect-Sensor-SDK, issues 1414 and 1528).
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import KINECT_V2, InputError, State
+from kinefilter.characters import KINECT_V2, InputError, State, Take
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import check_order
+from kinefilter.retarget import find_yaw
 
 from .files import array_of, list_in, number_in, read_json
 from .recording import Recording, Sighting, check_length, takes_of_people
@@ -58,6 +64,14 @@ def _sources(joint: str) -> list[int]:
 
 
 _PAIRS = np.array([_sources(joint) for joint in KINECT_V2.joints])
+_FRONT, _BACK = (
+    [JOINTS.index(name) for name in names]
+    for names in (("NOSE", "EYE_LEFT", "EYE_RIGHT"), ("EAR_LEFT", "EAR_RIGHT"))
+)
+_DEPTH = (0.03, 0.25)  # m from the ears to the face, which is 0.1 m. A guess
+_ASIDE = np.radians(60.0)
+"""Median angle between face and chest beyond which the face is not believed: people
+turn their heads by up to 80 degrees, but not for most of a take. A guess."""
 _METERS = np.array([-1e-3, -1e-3, 1e-3])
 """From millimeters to meters, from x right to x left and from y down to y up: after
 this half turn about z, a person faces the sensor as in takes of Kinect v2."""
@@ -93,7 +107,36 @@ def read_azure(source: str) -> Recording:
         "offset differently; compare with --method local-pca"
     )
     takes, notes = takes_of_people(time, sightings, KINECT_V2, source)
+    odd = [take for take in takes if not _faces_ahead(take)]
+    notes += tuple(
+        f"{take.source}: eyes, ears and nose do not fit the body, so the head does not "
+        "follow the face"
+        for take in odd
+    )
+    takes = tuple(replace(take, face=None) if take in odd else take for take in takes)
     return Recording(takes, "azure", unit="mm", notes=(note, *notes))
+
+
+def _face(places: Array, level: Array) -> Array:
+    """Return a unit vector (3,) from the ears to nose and eyes, NaN where unsure.
+
+    ``places`` are the 32 joints [m], shape (32, 3), ``level`` their confidence.
+    """
+    ahead: Array = places[_FRONT].mean(axis=0) - places[_BACK].mean(axis=0)
+    length = np.linalg.norm(ahead)
+    seen = level[_FRONT + _BACK].min() >= State.TRACKED
+    sure = seen and _DEPTH[0] < length < _DEPTH[1]
+    return ahead / length if sure else np.full(3, np.nan)
+
+
+def _faces_ahead(take: Take) -> bool:
+    """Return whether the face looks where the chest faces in most frames, if known."""
+    if take.face is None:
+        return True
+    yaw = find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
+    apart = np.arctan2(take.face[:, 0], take.face[:, 2]) - yaw
+    known = np.abs(np.angle(np.exp(1j * apart[np.isfinite(apart)])))
+    return not len(known) or float(np.median(known)) < _ASIDE
 
 
 def _slim(value: dict[str, Any]) -> dict[str, Any]:
@@ -122,6 +165,7 @@ def _sighting(frame: int, body: Any, where: str) -> Sighting:
             f"{len(JOINTS)} numbers: 0 none, 1 low, 2 medium or 3 high"
         )
     state = np.minimum(np.asarray(level, dtype=np.intp), State.TRACKED)
+    face = _face(positions * _METERS, np.asarray(level))
     places = positions[_PAIRS].mean(axis=1) * _METERS
     state = state[_PAIRS].min(axis=1).astype(np.uint8)
-    return Sighting(frame, int(number), places, state)
+    return Sighting(frame, int(number), places, state, face)

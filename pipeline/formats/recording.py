@@ -250,6 +250,7 @@ class Sighting:
     body: int  # the tracker's number for the body
     positions: Array  # of joints [m], shape (J, 3)
     state: Codes  # tracking states (State), shape (J,)
+    face: Array | None = None  # unit vector to where it looks, (3,); NaN if unknown
 
 
 def _sightings(
@@ -337,7 +338,12 @@ def takes_of_people(
         tracked = np.searchsorted(span, seen)
         places[tracked], states[tracked] = positions[rows], state[rows]
         check_extent(places, name)
-        takes.append(Take(time[span], places, states, skeleton, name))
+        face = None
+        if sightings[rows[0]].face is not None:
+            face = np.full((len(span), 3), np.nan)
+            face[tracked] = [sightings[row].face for row in rows]
+        take = Take(time[span], places, states, skeleton, name, face=face)
+        takes.append(take)
     return tuple(takes), _notes_on_changes([parts for parts, _ in people], tracks)
 
 

@@ -82,16 +82,28 @@ class _Aim(Stage):
 
 
 class AimHead(_Aim):
-    """Stage that turns the head by all joints above the shoulders."""
+    """Stage that bends the head by all joints above the shoulders.
+
+    It turns the head with the face, if the sensor sees that.
+    """
 
     name = "head"
-    cutoffs, chains = (1.2,), Neck
+    cutoffs, chains = (1.2, 1.2), Neck
 
     @staticmethod
     def _aim(draft: Draft, chains: Neck, filters: Sequence[_Filter]) -> None:
-        joints, (aim,) = (draft.positions, draft.rotations), filters
-        head = chains.straightened(*aim(*chains.aims(*joints, _weights(draft))))
-        draft.positions, draft.rotations = chains.posed(*joints, head)
+        joints, (aim, look) = (draft.positions, draft.rotations), filters
+        head, turn = (
+            chains.straightened(*aim(*chains.aims(*joints, _weights(draft)))),
+            None,
+        )
+        if draft.face is not None:
+            seen = np.isfinite(draft.face).all(axis=-1, keepdims=True)
+            face = np.where(seen, draft.face, 0.0)
+            weights = np.where(seen, 1.0, _LEAST_WEIGHT)
+            faces = chains.faces(face, draft.rotations, head)
+            turn = chains.turn(*look(faces, weights))
+        draft.positions, draft.rotations = chains.posed(*joints, head, turn)
 
 
 class AimHands(_Aim):

@@ -90,6 +90,8 @@ class Upright(Stage):
     def _apply(self, draft: Draft) -> None:
         turn = draft.turn = self._turn
         draft.measured = leveled(draft.measured, turn.tilt, turn.roll)
+        if draft.face is not None:
+            draft.face = leveled(draft.face, turn.tilt, turn.roll)
 
 
 class Level(Stage):
@@ -114,6 +116,8 @@ class Level(Stage):
         known = draft.unedited.planted.tilt if draft.unedited else self._tilt
         draft.tilt = sensor_tilt(*_feet(draft)) if known is None else known
         draft.positions = leveled(draft.positions, draft.tilt)
+        if draft.face is not None:
+            draft.face = leveled(draft.face, draft.tilt)
 
 
 class Smooth(Stage):
