@@ -15,6 +15,9 @@ from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import measured_body
 
+_AVERAGED = 6  # frames over which scores are averaged (eq. 8)
+_LATELY = 300  # frames whose mean is the usual score in live motion. A guess.
+
 
 @dataclass(frozen=True, eq=False)
 class Reference:
@@ -40,6 +43,62 @@ class Scores:
     """The deciding term (Term) of the frame itself, shape (T, J)."""
     geometry: Array
     """The reliability from positions alone, without the tracking state, (T, J)."""
+
+
+class UsualScores:
+    """The usual scores of joints, for frames in which a hidden limb spoils them.
+
+    A joint that was hidden and reconstructed has no score of its own. It also lowers
+    those of the joints beside it, and those of the next frames, as they are averaged.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        pairs = (skeleton.segments, skeleton.segment_parents)
+        self._bones = np.stack(pairs, axis=1).tolist()
+        self._usual = np.ones((2, len(skeleton)))
+        self._counts = np.zeros(len(skeleton))
+        self._since = np.full(len(skeleton), _AVERAGED)
+
+    def step(self, scores: Array, hidden: Flags, tracked: Flags) -> Array:
+        """Return the next frame's scores, the usual ones where spoiled, shape (2, J).
+
+        ``scores`` are reliability and geometry (2, J); ``hidden`` and ``tracked`` (J,).
+        What is usual is the mean of the last seconds.
+        """
+        self._since = np.where(self._beside(hidden), 0, self._since + 1)
+        spoiled = self._since < _AVERAGED
+        good = tracked & ~spoiled
+        self._counts[good] = np.minimum(self._counts[good] + 1, _LATELY)
+        change = (scores - self._usual)[:, good] / self._counts[good]
+        self._usual[:, good] += change
+        known = hidden | spoiled & (self._counts > 0)
+        return np.where(known, self._usual, scores)
+
+    def whole(self, scores: Array, hidden: Flags, tracked: Flags) -> Array:
+        """Return a take's scores, the usual ones where spoiled, shape (2, T, J).
+
+        Arguments are as for ``step``, with an axis T. What is usual is the median over
+        the frames that are good.
+        """
+        beside, scores = self._beside(hidden), scores.copy()
+        spoiled = beside.copy()
+        for k in range(1, _AVERAGED):
+            spoiled[k:] |= beside[:-k]
+        good = tracked & ~spoiled
+        for j in np.flatnonzero(spoiled.any(axis=0)):
+            if good[:, j].any():
+                usual = np.median(scores[:, good[:, j], j], axis=1)
+                scores[:, spoiled[:, j], j] = usual[:, None]
+            else:
+                scores[:, hidden[:, j], j] = 1.0
+        return scores
+
+    def _beside(self, hidden: Flags) -> Flags:
+        """Return flags (..., J) of hidden joints and those at their segments."""
+        beside = hidden.copy()
+        for ends in self._bones:
+            beside[..., ends] |= hidden[..., ends].any(axis=-1, keepdims=True)
+        return beside
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
@@ -178,7 +237,7 @@ class ReliabilityScorer:
         vibration_frames: int = 3,
         angle_floor: float = 90.0,
         angle_roof: float = 135.0,
-        rate_frames: int = 6,
+        rate_frames: int = _AVERAGED,
     ) -> None:
         self._least, self._vibration = smallest_displacement, vibration_frames
         self._floor, self._roof = np.radians([angle_floor, angle_roof])

@@ -7,15 +7,15 @@ live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, Skeleton, Tracking
-from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters import Body, Origin, Skeleton, State, Tracking
+from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
 
 from .config import CleanConfig
@@ -34,7 +34,7 @@ from .physics import PhysicsFilter
 from .physics.grasp import seen_hands
 from .physics.pulled_character import PulledCharacter
 from .progress import Progress
-from .reliability import measure_body, measure_reference, rest_reference
+from .reliability import UsualScores, measure_body, measure_reference, rest_reference
 from .target.floor import find_placement
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
@@ -257,10 +257,12 @@ class Correct(Stage):
         self._body, self._standardizer = body, Standardizer(body)
         self._corrector = self._method(body.skeleton)
         self._corrector.start()
+        self._usual = UsualScores(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Correct the next frame."""
-        found = self._corrector.step(self._observation(draft, self._body))
+        observation = self._observation(draft, self._body, self._usual.step)
+        found = self._corrector.step(observation)
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         self._record(draft, found)
         if found.rotations is not None:
@@ -269,7 +271,8 @@ class Correct(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Correct a take; joints the method leaves missing keep their last bones."""
         steps = progress(self.name, len(draft.time))
-        observation = self._observation(draft, draft.body)
+        usual = UsualScores(draft.skeleton).whole
+        observation = self._observation(draft, draft.body, usual)
         method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
         found = method.whole(observation, steps)
         del draft.standard, observation
@@ -295,14 +298,15 @@ class Correct(Stage):
         draft.twist = None
 
     @staticmethod
-    def _observation(draft: Draft, body: Body) -> Observation:
-        reliability, geometry = draft.reliability, draft.geometry
+    def _observation(
+        draft: Draft, body: Body, usual: Callable[[Array, Flags, Flags], Array]
+    ) -> Observation:
+        scores = np.stack([draft.reliability, draft.geometry])
         if draft.hidden is not None:
-            # The method may correct what was reconstructed, but not replace it.
-            reliability = np.where(draft.hidden, 1.0, reliability)
-            geometry = np.where(draft.hidden, 1.0, geometry)
+            # What was reconstructed is corrected as if it had been measured.
+            scores = usual(scores, draft.hidden, draft.state == State.TRACKED)
         context = draft.time, body.lengths, draft.heading.origin
-        return Observation(draft.standard, reliability, geometry, *context)
+        return Observation(draft.standard, scores[0], scores[1], *context)
 
 
 class Physics(Stage):

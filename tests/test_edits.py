@@ -18,6 +18,7 @@ from kinefilter.characters.arrays import runs
 from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile, read_edits
+from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulation import simulate, simulate_session
 from kinefilter.pipeline.pairs import PairedTake
@@ -99,7 +100,10 @@ def test_nothing_moves_farther_off_than_half_a_second(
     found = clean(pair.take, CleanConfig(edits=edited(tmp_path, told)))
     moved, here = apart(found, before), during(pair.take, around=0.5)
     assert moved[~here].max() < 1e-9
-    assert moved[during(pair.take)].max() > 0.005
+    if "exchange" in told:  # cleaning finds the swap in this good take and undoes it
+        assert FailureKind.MIRRORED in {failure.kind for failure in found.failures}
+    else:
+        assert moved[during(pair.take)].max() > 0.005
     # Nor does it jump at the ends of that.
     edges = here & ~during(pair.take, around=0.45)
     assert moved[edges].max() < 0.002
