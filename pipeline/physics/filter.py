@@ -196,7 +196,7 @@ class PhysicsFilter(PulledCharacter):
                 for _ in range(_SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
             elif self.compliance is None and not self.grasp.props:
-                trace.reset[k] = not self._follow(moves[k % _CHUNK], feet)
+                trace.reset[k] = not self.world.follow([moves[k % _CHUNK]], [feet])[0]
             else:  # which changes the targets
                 gained = accelerations[k]
                 hands = None if seen is None else seen[k]
@@ -229,7 +229,7 @@ class PhysicsFilter(PulledCharacter):
         there = slice(first, first + _CHUNK)
         back = np.maximum(np.arange(len(time))[there] - 1, 0)
         dt = time[there] - time[back]
-        return self._move(
+        return self._plan(
             (to_mujoco(positions[back]), to_mujoco(rotations[back])),
             (to_mujoco(positions[there]), to_mujoco(rotations[there])),
             to_mujoco(accelerations[there]),
