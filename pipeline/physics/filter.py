@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -37,13 +37,17 @@ _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 class SceneProps:
     """The visible props of a scene, recorded frame by frame.
 
-    That is, all bodies but those of the character, whose root body has index
-    ``character``. ``poses`` has positions [m] and rotations, wxyz, of the props that
-    can move, in MuJoCo's world, shape (frames, N, 7).
+    That is, all bodies but those of ``characters``, the indices of their root bodies.
+    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
+    MuJoCo's world, shape (frames, N, 7).
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, character: int, frames: int
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        characters: Sequence[int],
+        frames: int,
     ) -> None:
         self._model, self._data = model, data
         visible = np.flatnonzero(
@@ -54,7 +58,7 @@ class SceneProps:
         self._geoms = {
             int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
             for body in dict.fromkeys(model.geom_bodyid[visible])
-            if model.body_rootid[body] != character
+            if model.body_rootid[body] not in characters
         }
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
         self.poses = np.empty((frames, len(self._moving), 7))
@@ -182,8 +186,7 @@ class PhysicsFilter(PulledCharacter):
         result, roots = np.empty_like(rotations), np.empty((count, 3))
         types = (float, float, np.int64, np.bool_)
         trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
-        character = int(self._bodies[self.body.skeleton.root])
-        things = SceneProps(self.model, self.data, character, count)
+        things = SceneProps(self.model, self.data, [self.root_body], count)
         own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
             if k % _CHUNK == 0:

@@ -85,8 +85,8 @@ class Holdable:
         hands: tuple[str, str],
     ) -> None:
         self._model, self._data, self._body, self._palm = model, data, body, palm
-        name = model.body(body).name
-        self._ties = [model.equality(f"hold:{name}:{hand}").id for hand in hands]
+        self.name = model.body(body).name
+        self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
         self._hands = [model.body(hand).id for hand in hands]
         geoms = np.flatnonzero((_props_of(model) == body) & (model.geom_contype != 0))
         # A single simple shape has axes of its own; others have those of the body.

@@ -75,7 +75,7 @@ class PulledCharacter:
         names = [f"{prefix}{name}" for name in joints]
         self._sites = np.array([model.site(name).id for name in names])
         self._bodies = np.array([model.body(name).id for name in names])
-        root = int(self._bodies[body.skeleton.root])
+        self.root_body = root = int(self._bodies[body.skeleton.root])
         ends = [model.joint(names[j]) for j in body.skeleton.segments]
         self._balls = np.array([ball.qposadr[0] for ball in ends])
         free = model.joint(names[body.skeleton.root])
