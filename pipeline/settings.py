@@ -34,7 +34,8 @@ class Settings:
     OpenPose. The default is 30."""
     body: int | Literal["all"] | None = None
     """Which person to clean, counted from 1 in order of appearance, or all, for a clip
-    each (clip.1.usda, ...). The default is the person seen in most frames."""
+    each (clip.1.usda, ...); with --scene they share it and push each other. The default
+    is the person seen in most frames."""
     calibration: Path | None = None
     """Alignment of several sensors, from 'merge --save-calibration'."""
     sessions: Suppress[str | None] = None

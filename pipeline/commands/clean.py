@@ -168,7 +168,7 @@ class Clean:
 
     def _cleaned(self, recording: Recording) -> dict[int, CleanResult]:
         """Return the result for each requested person, by number."""
-        from kinefilter.pipeline.cleaner import clean
+        from kinefilter.pipeline.cleaner import Cleaner, clean
 
         config, numbers = self.settings.config, recording.numbers(self.settings.body)
         for name in ("contacts", "edits"):
@@ -177,6 +177,18 @@ class Clean:
                     f"--{name} applies to one person; choose one with --body"
                 )
         results: dict[int, CleanResult] = {}
+        if len(numbers) > 1 and config.scene is not None:
+            takes = [recording.take(number) for number in numbers]
+            with progress_bars() as progress:
+                found = Cleaner(config).clean_together(takes, progress=progress)
+            for number, result in zip(numbers, found, strict=True):
+                if not isinstance(result, InputError):
+                    results[number] = result
+                elif number == numbers[-1] and not results:
+                    raise result
+                else:
+                    err.print(f"kinefilter: {result}; skipped")
+            return results
         for number in numbers:
             take = recording.take(number)
             try:

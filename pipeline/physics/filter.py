@@ -19,7 +19,7 @@ from kinefilter.retarget import HeadingFrame
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
 
-_SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
+SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
 _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
@@ -182,7 +182,7 @@ class PhysicsFilter(PulledCharacter):
         """
         count = len(time)
         check_target(positions, rotations)
-        accelerations = _accelerations(time, positions)
+        accelerations = accelerations_of(time, positions)
         result, roots = np.empty_like(rotations), np.empty((count, 3))
         types = (float, float, np.int64, np.bool_)
         trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
@@ -196,7 +196,7 @@ class PhysicsFilter(PulledCharacter):
             if k == 0 or dt > LONG_GAP:
                 self.start(*target, reset_props=k == 0)
                 # Hold the first target until the initial transient is gone.
-                for _ in range(_SETTLING):
+                for _ in range(SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
             elif self.compliance is None and not self.grasp.props:
                 trace.reset[k] = not self.world.follow([moves[k % _CHUNK]], [feet])[0]
@@ -241,7 +241,7 @@ class PhysicsFilter(PulledCharacter):
         )
 
 
-def _accelerations(time: Array, positions: Array) -> Array:
+def accelerations_of(time: Array, positions: Array) -> Array:
     """Return central second differences [m/s^2], 0 at the ends of each part."""
     accelerations, steps = np.zeros_like(positions), np.diff(time)[:, None, None]
     velocities = np.diff(positions, axis=0) / steps
