@@ -11,6 +11,7 @@ it. ``to_mujoco`` and ``from_mujoco`` convert.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -18,10 +19,13 @@ import numpy as np
 
 from .anthropometry import GRAVITY, Body, joint_masses, joint_range
 from .arrays import Array
+from .errors import InputError
 from .tracking import Tracking
 
 PULLS = 30
-"""Actuator group of everything that pulls the character."""
+"""Actuator group of everything that pulls the character; the next one's is 29, ..."""
+MOST_CHARACTERS = 16
+"""In one model: each needs an actuator group and a collision bit of its own."""
 
 # A time constant of two steps, the stiffest that MuJoCo allows, and almost rigid.
 _HARD = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
@@ -46,6 +50,12 @@ _GROUPS = {
     "trunk": (_TRUNK, ["left arm", "right arm"]),
 }
 _BITS = {group: 1 << bit for bit, group in enumerate(_GROUPS, start=1)}
+FLOOR_BIT = 1 << 6
+"""Collision bit of the floor where there are several characters."""
+_FIRST_BIT = 7  # of the characters' own
+# What people touch each other with: a trunk yields by some centimeters before it moves.
+_FIRM_FLESH = ([0.04, 1.0], [0.5, 0.98, 0.03, 0.5, 2.0])  # guesses
+_UNSEEN = 4  # group of geoms that nothing draws
 
 
 def to_mujoco(values: Array) -> Array:
@@ -96,6 +106,64 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
         target = world.add_body(name=f"target:{joint}", mocap=True)
         target.add_site(name=f"target:{joint}")
     return spec
+
+
+def prefix_of(number: int) -> str:
+    """Return what the names of a character's parts begin with, by its number from 0."""
+    return f"{number + 1}:" if number else ""
+
+
+def build_humanoids(
+    bodies: Sequence[Body], tracking: Tracking | None = None
+) -> mujoco.MjSpec:
+    """Return the humanoids of several bodies, all in T-pose at the origin of a floor.
+
+    The first is that of ``build_humanoid``. The names of the others begin with
+    ``prefix_of(number)``, and their actuators have the group PULLS - number. All parts
+    of one collide with all parts of the others. Raises InputError if there are more
+    than MOST_CHARACTERS.
+    """
+    if not 1 <= len(bodies) <= MOST_CHARACTERS:
+        raise InputError(
+            f"{len(bodies)} characters in one scene; at most {MOST_CHARACTERS} fit"
+        )
+    spec = build_humanoid(bodies[0], tracking)
+    if len(bodies) == 1:
+        return spec
+    for number, body in enumerate(bodies):
+        one = build_humanoid(body, tracking) if number else spec
+        floor = one.geom("floor")
+        for geom in [geom for geom in one.geoms if geom.name != floor.name]:
+            _add_firm_flesh(geom, number, len(bodies))
+            geom.conaffinity |= FLOOR_BIT
+        for pull in one.actuators:
+            pull.group = PULLS - number
+        if number:
+            one.delete(floor)
+            frame = spec.worldbody.add_frame()
+            spec.attach(one, frame=frame, prefix=prefix_of(number))
+    spec.geom("floor").contype |= FLOOR_BIT
+    return spec
+
+
+def _add_firm_flesh(geom: mujoco.MjsGeom, number: int, count: int) -> None:
+    """Add a geom of the same shape that only those of the other characters touch."""
+    own = 1 << (_FIRST_BIT + number)
+    everyone = ((1 << count) - 1) << _FIRST_BIT
+    geom.parent.add_geom(
+        name=f"{geom.name}:firm",
+        type=geom.type,
+        size=geom.size,
+        pos=geom.pos,
+        fromto=geom.fromto,
+        mass=0.0,
+        condim=3,
+        contype=own,
+        conaffinity=everyone & ~own,
+        solref=_FIRM_FLESH[0],
+        solimp=_FIRM_FLESH[1],
+        group=_UNSEEN,
+    )
 
 
 def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:

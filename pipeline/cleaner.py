@@ -254,6 +254,44 @@ class Cleaner:
             draft = clean_again(self.stages, corrected, edits, before, progress)
         else:
             draft = before.done if before else self.whole(recorded, progress)
+        return self._result(take, recorded, frames, draft, edits)
+
+    def clean_together(
+        self, takes: Sequence[Take], *, progress: Progress = silent
+    ) -> list[CleanResult | InputError]:
+        """Clean the takes of people of one recording, who share a simulated world.
+
+        They push each other there, and the props of the scene. In place of the result
+        of a take that cannot be cleaned is the error; the others go on without it.
+        """
+        physics = [stage for stage in self.stages if isinstance(stage, Physics)]
+        before = self.without(*(stage.name for stage in physics))
+        found: list[CleanResult | InputError] = []
+        ready: list[tuple[int, Take, Any, Draft]] = []
+        for number, take in enumerate(takes):
+            try:
+                recorded, frames = self._distinct(take)
+                ready.append(
+                    (number, recorded, frames, before.whole(recorded, progress))
+                )
+            except InputError as error:
+                found.append(error)
+            else:
+                found.append(InputError("not simulated"))
+        for stage in physics if ready else ():
+            stage.together([draft for *_, draft in ready], progress)
+        for number, recorded, frames, draft in ready:
+            found[number] = self._result(takes[number], recorded, frames, draft, ())
+        return found
+
+    def _result(
+        self,
+        take: Take,
+        recorded: Take,
+        frames: Any,
+        draft: Draft,
+        edits: Sequence[Edit],
+    ) -> CleanResult:
         # From here on: clip, quality, failures and notes of what the stages made.
         measured = to_world(draft.measured, draft.tilt, draft.floor)
         moved_by_correction = distances(draft.posed, measured)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeGuard
 
@@ -48,7 +49,8 @@ class Settings:
     OpenPose. The default is 30."""
     body: int | Literal["all"] | None = None
     """Which person to clean, counted from 1 in order of appearance, or all, for a clip
-    each (clip.1.usda, ...). The default is the person seen in most frames."""
+    each (clip.1.usda, ...); with --scene they share it and push each other. The default
+    is the person seen in most frames."""
     calibration: Path | None = None
     """Alignment of several sensors, from 'merge --save-calibration'."""
     sessions: Suppress[str | None] = None
@@ -105,6 +107,33 @@ class Settings:
         return clean_session(
             recordings, self.config, body=body, calibration=known, progress=progress
         )
+
+    def clean_all(
+        self,
+        recordings: Sequence[Recording],
+        numbers: Sequence[int],
+        cleaner: Cleaner | None = None,
+        progress: Progress = silent,
+    ) -> Iterator[tuple[int, CleanResult | InputError, Merged | None]]:
+        """Yield the number of each person with what ``clean`` returns or raises.
+
+        Several people in a ``scene`` share it, and push each other.
+        """
+        if len(numbers) > 1 and self.config.scene is not None:
+            from .cleaner import Cleaner
+
+            cleaner = cleaner or Cleaner(self.config)
+            takes = [recordings[0].take(number) for number in numbers]
+            found = cleaner.clean_together(takes, progress=progress)
+            yield from zip(numbers, found, repeat(None))
+            return
+        for number in numbers:
+            try:
+                result, merged = self.clean(recordings, number, cleaner, progress)
+            except InputError as error:
+                yield number, error, None
+            else:
+                yield number, result, merged
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -7,7 +7,7 @@ live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -30,9 +30,11 @@ from .failures import (
     without_impossible_bodies,
 )
 from .methods import SCORERS, load
-from .physics import PhysicsFilter
+from .physics import PhysicsFilter, PhysicsResult
 from .physics.grasp import seen_hands
 from .physics.pulled_character import PulledCharacter
+from .physics.together import Performance, run_together, stamps_of
+from .physics.world import World
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference
 from .target.floor import find_placement
@@ -359,6 +361,39 @@ class Physics(Stage):
             seen=seen_hands(draft.reliability, draft.skeleton),
             frames=progress(self.name, len(draft.time)),
         )
+        self._finish(draft, result, place)
+
+    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
+        """Pull the characters of people of one recording through it in one world.
+
+        The scene is where it is for the person who is seen in most frames. Everyone
+        stands on the floor that was found for them.
+        """
+        main = max(drafts, key=lambda draft: len(draft.time))
+        place = self._placement(main.positions, main.skeleton)
+        bodies = [draft.body for draft in drafts]
+        world = World(bodies, self._tracking, scene=self._scene)
+        people = [
+            Performance(
+                draft.time,
+                *_placed(draft, place),
+                draft.stands,
+                seen_hands(draft.reliability, draft.skeleton),
+            )
+            for draft in drafts
+        ]
+        results = run_together(
+            [PulledCharacter(body, self._tracking, world=world) for body in bodies],
+            people,
+            progress(self.name, len(stamps_of(people))),
+        )
+        for draft, result in zip(drafts, results, strict=True):
+            self._finish(draft, result, place)
+
+    @staticmethod
+    def _finish(
+        draft: Draft, result: PhysicsResult, place: HeadingFrame | None
+    ) -> None:
         draft.positions, draft.rotations = result.positions, result.rotations
         if place is not None:
             draft.positions = place.restore(result.positions)

@@ -6,12 +6,13 @@ joint are movable props; everything else is fixed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 
 from kinefilter.characters import Body, InputError, Tracking
-from kinefilter.characters.humanoid import build_humanoid
+from kinefilter.characters.humanoid import build_humanoids
 
 _FOLDER = Path(__file__).parent
 
@@ -26,14 +27,18 @@ _SKIN = [0.37, 0.53, 0.60, 1.0]  # a muted color that no prop has
 
 
 def load_scene(
-    scene: str | Path, body: Body | None = None, *, tracking: Tracking | None = None
+    scene: str | Path,
+    body: Body | Sequence[Body] | None = None,
+    *,
+    tracking: Tracking | None = None,
 ) -> mujoco.MjSpec:
     """Return a scene: one of SCENES, or the MJCF file at a path.
 
-    If a body is given, the character of ``build_humanoid`` is at the origin in T-pose.
-    It keeps all its names, actuators, options and the settings of its floor, which
-    takes on the look of the scene's. It comes first in the model, so the first seven
-    coordinates are those of its root. Raises an InputError if there is no such scene,
+    If a body is given, the character of ``build_humanoid`` is at the origin in T-pose,
+    and so are those of ``build_humanoids`` if several are. They keep all their names,
+    actuators, options and the settings of their floor, which takes on the look of the
+    scene's. They come first in the model, so the first seven coordinates are those of
+    the first one's root. Raises an InputError if there is no such scene,
     MuJoCo cannot load it, or a name in it is also one of the character's.
     """
     path = _path(scene)
@@ -41,7 +46,8 @@ def load_scene(
         spec = mujoco.MjSpec.from_file(str(path))
         _resolve_assets(spec, path)
         if body is not None:
-            spec = _merged(build_humanoid(body, tracking), spec)
+            bodies = [body] if isinstance(body, Body) else body
+            spec = _merged(build_humanoids(bodies, tracking), spec)
         spec.copy().compile()
     except (ValueError, mujoco.FatalError) as error:
         why = " ".join(str(error).split())
@@ -78,7 +84,7 @@ def _path(scene: str | Path) -> Path:
 
 
 def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Return the character's spec with everything in the scene except its floor."""
+    """Return the characters' spec with everything in the scene except its floor."""
     for part in character.geoms:
         if part.name != "floor":
             part.rgba = _SKIN

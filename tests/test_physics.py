@@ -31,7 +31,8 @@ from kinefilter.characters.rotations import (
 )
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics import PhysicsFilter
-from kinefilter.pipeline.physics.pulled_character import PulledCharacter, steps_in
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.physics.world import steps_in
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.bent_limb import bent_limb
 from kinefilter.scenes.library import perform

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_a_hard_blow_fells_it_and_it_gets_up_to_the_performer(motion: Clip) -> N
     assert lowest < 0.5
     _chest(ground, 10.0)
     assert ground.doing == "follows"
-    target = ground._target()[0]
+    target = ground._target(ground.motion)[0]
     assert np.abs(ground.character.positions - target).max() < 0.05
 
 
@@ -118,7 +119,7 @@ def test_what_was_played_is_a_clip_with_the_balls_that_flew(
     ground.throw([0.0, 1.3, 3.0], -FORWARD)
     chest = _chest(ground, 1.0)
     path = tmp_path / "played.npz"
-    write_clip(ground.recorded(), path)
+    write_clip(ground.recorded()[0], path)
     clip = read_clip(path)
     np.testing.assert_allclose(
         clip.positions[:, clip.skeleton.girdle], chest, atol=1e-4
@@ -149,6 +150,62 @@ def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> Non
         player.run()
 
 
+def test_two_begin_beside_each_other_share_the_scene_and_are_recorded(
+    motion: Clip, tmp_path: Path
+) -> None:
+    ground = Playground([motion, motion], "box")
+    alone = Playground(motion, "box")
+    assert ground.scene_props.moving == alone.scene_props.moving
+    first, second = (character.positions for character in ground.characters)
+    gap = second[:, 0].min() - first[:, 0].max()
+    assert gap == pytest.approx(0.6, abs=0.02)
+    np.testing.assert_allclose(first, alone.character.positions, atol=1e-9)
+    chest = motion.skeleton.girdle
+    with opened_server() as server:
+        player = Player(server, ground, tmp_path / "play.npz")
+        player._record(None)
+        player._choose("2")
+        player._let_go(None)
+        assert [c.limp for c in ground.characters] == [False, True]
+        for _ in range(45):
+            ground.step(1.0 / RATE)
+        player._show()
+        player._record(None)
+        player.stop()
+    clips = [read_clip(tmp_path / f"play.{number}.npz") for number in (1, 2)]
+    heights = [clip.positions[-1, chest, 1] for clip in clips]
+    assert heights[1] < 0.6 < 1.0 < heights[0]
+    ground.throw(first[chest] + FORWARD, -FORWARD)
+    assert ground.hit_by(second[chest] + [0.0, 3.0, 0.0], [0.0, 1.0, 0.0]) is None
+    here = ground.characters[0].positions[chest]
+    hit = ground.hit_by(here + 2.0 * FORWARD, -FORWARD)
+    assert hit is not None
+    assert hit[0] == 0
+
+
+def test_who_stands_too_near_is_pushed(motion: Clip) -> None:
+    chest, away = motion.skeleton.girdle, []
+    for apart in (0.15, 3.0):
+        other = replace(motion, root=motion.root + np.array([apart, 0.0, 0.0]))
+        ground = Playground([motion, other], "basic", placed=True)
+        for _ in range(30):
+            ground.step(1.0 / RATE)
+        target = ground._target(ground.motions[1])[0]
+        gone = ground.characters[1].positions[chest] - target[chest]
+        away.append(float(np.linalg.norm(gone)))
+    assert away[1] < 0.01
+    assert away[0] > away[1] + 0.01
+
+
+def test_people_of_one_recording_keep_their_places(motion: Clip) -> None:
+    moved = motion.root + np.array([1.0, 0.0, 0.5])
+    other = replace(motion, root=moved)
+    ground = Playground([motion, other], "basic", placed=True)
+    first, second = (m.positions[0] for m in ground.motions)
+    away = (second - first).mean(axis=0)
+    assert np.linalg.norm(away) == pytest.approx(np.hypot(1.0, 0.5), abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -156,6 +213,7 @@ def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> Non
         (["--save", "clip.txt"], "unknown extension"),
         (["--take", "absent.csv"], "absent.csv"),
         (["--port", "-1"], "--port -1"),
+        (["--take", "a.csv", "--take", "b.csv", "--body", "all"], "single --take"),
     ],
 )
 def test_what_cannot_be_played_is_refused(

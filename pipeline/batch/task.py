@@ -92,12 +92,14 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
     row: dict[str, Any] = {"clips": ()}
     errors = []
-    for body in bodies:
+    for body, result, merged in job.settings.clean_all(
+        recordings, bodies, cleaner, _while_awaited
+    ):
+        if isinstance(result, InputError):
+            errors.append(str(result))
+            continue
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            result, merged = job.settings.clean(
-                recordings, body, cleaner, _while_awaited
-            )
             notes = (
                 *take_notes,
                 *(merged.all_notes() if merged else ()),

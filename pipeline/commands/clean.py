@@ -171,16 +171,16 @@ class Clean:
                     f"--{name} applies to one person; choose one with --body"
                 )
         results = {}
-        for number in numbers:
-            try:
-                with progress_bars() as progress:
-                    results[number] = settings.clean(
-                        recordings, number, progress=progress
-                    )
-            except InputError as error:
-                if number == numbers[-1] and not results:
-                    raise
-                err.print(f"kinefilter: {error}; skipped")
+        with progress_bars() as progress:
+            for number, result, merged in settings.clean_all(
+                recordings, numbers, progress=progress
+            ):
+                if not isinstance(result, InputError):
+                    results[number] = result, merged
+                elif number == numbers[-1] and not results:
+                    raise result
+                else:
+                    err.print(f"kinefilter: {result}; skipped")
         return results
 
     def _write(

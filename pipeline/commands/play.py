@@ -6,11 +6,11 @@ import webbrowser
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-from kinefilter.characters import Clip, TrackingName
+from kinefilter.characters import Clip, InputError, TrackingName
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
@@ -27,26 +27,30 @@ class Play:
 
     Prints the address of a page. The character performs a take in a loop; drag it or
     throw balls with the mouse, and use buttons and keys to release and reattach it,
-    pause, slow down, restart, and record a clip. Needs pip install "kinefilter[view]".
+    pause, slow down, restart, and record a clip. Several characters share the scene and
+    push each other, and each is recorded to a clip of its own. Needs pip install
+    "kinefilter[view]".
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "basic"
     """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
     (.xml)."""
-    take: Path | None = None
+    take: UseAppendAction[tuple[Path, ...]] = ()
     """The motion to perform: a take in any of the formats of --format, or a clip (.npz,
-    USD or GLB); default: the sample take."""
+    USD or GLB); default: the sample take. Repeat it for several characters, who begin
+    beside each other."""
     format: TakeFormat | None = None
     """Format of the take; default: detected from its content."""
-    body: int | None = None
-    """Number of the person in the take, from 1; default: the one seen in most
-    frames."""
+    body: int | Literal["all"] | None = None
+    """Number of the person in the take, from 1, or 'all', who begin where they were to
+    each other; default: the one seen in most frames."""
     tracking: TrackingName = "game"
     """How the character follows the motion: faithful, as in clean; game, which gives
     way when hit, falls and gets up; or ragdoll, which does not follow."""
     save: Path = Path("play.npz")
     """File that the page records to, in any clip format; further recordings go to
-    play.2.npz and so on. The page writes nothing else."""
+    play.2.npz and so on, with .1, .2 and so on added for several characters. The page
+    writes nothing else."""
     bind: str = "127.0.0.1"
     """Address to listen on; the default accepts connections from this machine only.
     Anyone who can connect may play and record."""
@@ -65,25 +69,31 @@ class Play:
 
         check_address(self.bind, self.port)
         check_writable(self.save)
-        keep(self.save, self.take)
+        keep(self.save, *self.take)
+        if self.body == "all" and len(self.take) > 1:
+            raise InputError("--body all needs a single --take")
         with suppress(KeyboardInterrupt):  # the regular way to quit
-            ground = Playground(
-                self._motion(self.take or SAMPLE), self.scene, self.tracking
-            )
+            takes = self.take or (SAMPLE,)
+            motions = [motion for path in takes for motion in self._motions(path)]
+            placed = self.body == "all"
+            ground = Playground(motions, self.scene, self.tracking, placed=placed)
             with opened_server(self.bind, self.port) as server:
                 player = Player(server, ground, self.save)
-                shown = self.take or SAMPLE.name
+                shown = ", ".join(map(str, self.take)) or SAMPLE.name
                 out.print(f"{player.address} plays {shown}; press Ctrl-C to quit")
                 if self.open:
                     webbrowser.open(player.address)
                 player.run()
         return 0
 
-    def _motion(self, path: Path) -> Clip:
+    def _motions(self, path: Path) -> list[Clip]:
         from kinefilter.pipeline.cleaner import clean
 
         if path.suffix.lower() in WHOLE_CLIPS:
-            return read_finite_clip(path)
-        take = read_recording(path, format=self.format).take(self.body)
-        with progress_bars() as progress:
-            return clean(take, CleanConfig(physics=False), progress=progress).clip
+            return [read_finite_clip(path)]
+        recording, clips = read_recording(path, format=self.format), []
+        for number in recording.numbers(self.body):
+            with progress_bars() as progress:
+                take, config = recording.take(number), CleanConfig(physics=False)
+                clips.append(clean(take, config, progress=progress).clip)
+        return clips

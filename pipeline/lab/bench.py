@@ -19,7 +19,8 @@ from kinefilter.pipeline.correct.posture_space import solve, stochastic_search
 from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.physics.pulled_character import PulledCharacter, steps_in
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.physics.world import steps_in
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Physics, Stage

@@ -1,8 +1,9 @@
-"""The page of ``play``: a character to shove, throw balls at, drag and let go."""
+"""The page of ``play``: characters to shove, throw balls at, drag and let go."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, get_args
@@ -10,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
-from kinefilter.characters import TrackingName
+from kinefilter.characters import Body, TrackingName
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.recording import numbered
@@ -27,7 +28,7 @@ _STATUS_EVERY = 0.2  # s between two updates of the panel's text
 _TO_GRAB = 1.3  # radius in which the pointer grabs a segment, relative to its own
 _FROM_CAMERA = 0.4  # m in front of the camera, where balls start
 _HELP = (
-    ("drag the character", "pull and push it"),
+    ("drag a character", "pull and push it"),
     ("click", "throw a ball at this place"),
     ("Shift + click", "shove this part of the body"),
 )
@@ -91,6 +92,11 @@ class Player(ServedPage):
         names, now = get_args(TrackingName), playground.tracking
         tracking = gui.add_dropdown("tracking", names, initial_value=now)
         self._on(tracking.on_update, lambda name: self._change(tracking=name))
+        self._number: int | None = None  # of the character that buttons act on
+        if (count := len(playground.characters)) > 1:
+            everyone = ("all", *map(str, range(1, count + 1)))
+            chosen = gui.add_dropdown("character", everyone, initial_value="all")
+            self._on(chosen.on_update, self._choose)
         self._message = gui.add_html("")
         gui.add_html(table_html(("opacity:0.6", *row) for row in _HELP))
 
@@ -99,20 +105,29 @@ class Player(ServedPage):
         with server.atomic():
             server.scene.reset()
             set_stage(server, Drawing(playground.motion))
-            _, self._pose = add_skin(server.scene, playground.motion.body)
-            self._grips, self._place_grips = _add_grips(server.scene, playground)
-            self._on(self._grips.on_drag("left"), self._drag, whole=True)
+            self._poses, self._place_grips = [], []
+            for number, motion in enumerate(playground.motions):
+                end = str(number + 1) if number else ""
+                _, pose = add_skin(server.scene, motion.body, f"/mesh{end}")
+                grips, place = _add_grips(server.scene, motion.body, f"/grips{end}")
+                drag = partial(self._drag, number=number)
+                self._on(grips.on_drag("left"), drag, whole=True)
+                self._poses.append(pose)
+                self._place_grips.append(place)
             _, frames = add_props(server.scene, playground.props)
             names = [prop.name for prop in playground.props]
             by_name = dict(zip(names, frames, strict=True))
             self._moving = [by_name[name] for name in playground.scene_props.moving]
 
     def _show(self) -> None:
-        character, things = self._playground.character, self._playground.scene_props
+        characters, things = self._playground.characters, self._playground.scene_props
         with self._server.atomic():
-            positions = character.positions
-            self._pose(positions, character.rotations)
-            self._place_grips(positions)
+            for character, pose, place_grips in zip(
+                characters, self._poses, self._place_grips, strict=True
+            ):
+                positions = character.positions
+                pose(positions, character.rotations)
+                place_grips(positions)
             for frame, place, turn in zip(self._moving, *things.now, strict=True):
                 frame.position, frame.wxyz = place, turn
             if perf_counter() - self._status_shown > _STATUS_EVERY:
@@ -131,7 +146,7 @@ class Player(ServedPage):
             rows.append(("recorded", f"{recorded / RATE:.1f} s"))
         self._status.content = table_html(("opacity:0.6", *row) for row in rows)
         label = {
-            "Let go": "Take hold" if playground.limp else "Let go",
+            "Let go": "Take hold" if self._limp else "Let go",
             "Pause": "Pause" if self._playing else "Resume",
             "Record": "Record" if recorded is None else "Stop recording",
         }
@@ -149,30 +164,49 @@ class Player(ServedPage):
         self._playground.throw(eye + _FROM_CAMERA * way, way)
 
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
-        joint = self._playground.hit_by(event.ray_origin, event.ray_direction)
-        if joint is not None:
-            self._playground.shove(joint, event.ray_direction)
+        hit = self._playground.hit_by(event.ray_origin, event.ray_direction)
+        if hit is not None:
+            number, joint = hit
+            self._playground.shove(joint, event.ray_direction, number)
 
     def _shove(self, event: Any) -> None:
-        chest = self._playground.motion.skeleton.girdle
-        self._playground.shove(chest, self._way_to_chest(event) * [1.0, 0.0, 1.0])
+        number = self._number or 0
+        chest = self._playground.motions[number].skeleton.girdle
+        way = self._way_to_chest(event) * [1.0, 0.0, 1.0]
+        self._playground.shove(chest, way, number)
 
     def _way_to_chest(self, event: Any) -> Any:
         """Return the vector from the browser's camera to the chest [m], shape (3,)."""
-        chest = self._playground.motion.skeleton.girdle
+        number = self._number or 0
+        chest = self._playground.motions[number].skeleton.girdle
         camera = event.client.camera.position
-        way = self._playground.character.positions[chest] - camera
+        way = self._playground.characters[number].positions[chest] - camera
         return way if np.linalg.norm(way[[0, 2]]) > 0.01 else np.array([0.0, 0, -1])
 
-    def _drag(self, event: Any) -> None:
+    def _drag(self, event: Any, number: int = 0) -> None:
         if event.phase == "end" or event.instance_index is None:
             self._playground.release()
             return
-        joint = self._playground.motion.skeleton.segments[event.instance_index]
-        self._playground.drag(joint, event.start_position, event.end_position)
+        segments = self._playground.motions[number].skeleton.segments
+        joint = segments[event.instance_index]
+        start, end = event.start_position, event.end_position
+        self._playground.drag(joint, start, end, number)
+
+    @property
+    def _limp(self) -> bool:
+        """Whether nothing pulls the characters that the buttons act on."""
+        if self._number is None:
+            return self._playground.limp
+        return self._playground.characters[self._number].limp
 
     def _let_go(self, _: object) -> None:
-        self._playground.limp = not self._playground.limp
+        if self._number is None:
+            self._playground.limp = not self._limp
+        else:
+            self._playground.characters[self._number].limp = not self._limp
+
+    def _choose(self, name: str) -> None:
+        self._number = None if name == "all" else int(name) - 1
 
     def _pause(self, _: object) -> None:
         self._playing = not self._playing
@@ -189,22 +223,28 @@ class Player(ServedPage):
             self._playground.record()
             self._report("")
             return
-        clip, path, number = self._playground.recorded(), self._save, 1
-        while path.exists():
+        clips, path, number = self._playground.recorded(), self._save, 1
+        several = len(clips) > 1
+        while any(
+            numbered(path, k + 1 if several else None).exists()
+            for k in range(len(clips))
+        ):
             path, number = numbered(self._save, number + 1), number + 1
-        write_clip(clip, path)
-        self._report(f"wrote {path}, {clip.time[-1]:.1f} s")
+        paths = [numbered(path, k + 1 if several else None) for k in range(len(clips))]
+        for clip, to in zip(clips, paths, strict=True):
+            write_clip(clip, to)
+        names = ", ".join(map(str, paths))
+        self._report(f"wrote {names}, {clips[0].time[-1]:.1f} s")
 
 
 def _add_grips(
-    scene: viser.SceneApi, playground: Playground
+    scene: viser.SceneApi, body: Body, name: str
 ) -> tuple[Any, Callable[[Array], None]]:
     """Add invisible cylinders to grab segments by; also return what places them."""
-    body = playground.motion.body
     ends = body.skeleton.segments
     radii = _TO_GRAB * body.radii[ends]
     rod = cylinder(1.0, 1.0, sections=10)
-    grips = add_batch(scene, "/grips", rod, len(ends), (0, 0, 0))
+    grips = add_batch(scene, name, rod, len(ends), (0, 0, 0))
     grips.opacity, grips.cast_shadow = 0.0, False
 
     def place(positions: Array) -> None:

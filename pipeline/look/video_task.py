@@ -114,7 +114,7 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     model = load_scene(scene).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    things = SceneProps(model, data, -1, 1)
+    things = SceneProps(model, data, (), 1)
     things.record(0)
     names = {prop.name for prop in props}
     others = things.props(find_placement(clip.positions, clip.skeleton))

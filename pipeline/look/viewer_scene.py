@@ -140,7 +140,7 @@ def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
 
 
 def add_skin(
-    scene: viser.SceneApi, body: Body
+    scene: viser.SceneApi, body: Body, name: str = "/mesh"
 ) -> tuple[viser.MeshSkinnedHandle, Callable[[Array, Array], None]]:
     """Add a body's skin; also return the function that poses it.
 
@@ -151,7 +151,7 @@ def add_skin(
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
     mesh = scene.add_mesh_skinned(
-        "/mesh",
+        name,
         skin.points,
         skin.triangles,
         bone_wxyzs=np.tile(IDENTITY, (joints, 1)),

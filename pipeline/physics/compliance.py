@@ -97,14 +97,19 @@ class Compliance:
         -1 for others, and ``props`` is True if it is a prop that can move.
         """
         force = np.empty(6)
-        for k in range(data.ncon):
-            one, other = model.geom_bodyid[data.contact.geom[k]]
-            for segment, prop, sign in ((one, other, -1.0), (other, one, 1.0)):
-                if joints[segment] >= 0 and props[prop]:
+        bodies = model.geom_bodyid[data.contact.geom]
+        own, hits = joints[bodies] >= 0, props[bodies]
+        for k in np.flatnonzero((own & hits[:, ::-1]).any(axis=1)):
+            for segment, prop, sign in ((0, 1, -1.0), (1, 0, 1.0)):
+                if own[k, segment] and hits[k, prop]:
                     mujoco.mj_contactForce(model, data, k, force)
                     world_force = force[:3] @ data.contact.frame[k].reshape(3, 3)
                     impulse = sign * model.opt.timestep * world_force
-                    self.hit(joints[segment], from_mujoco(impulse))
+                    self.hit(joints[bodies[k, segment]], from_mujoco(impulse))
+
+    def forget_hits(self) -> None:
+        """Forget the hits that ``take_hits`` has not taken yet."""
+        self._impulses[:] = 0.0
 
     def take_hits(self, dt: float) -> bool:
         """Take the hits of the last ``dt`` [s]; return True if they knock it down."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -19,7 +19,7 @@ from kinefilter.retarget import HeadingFrame
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
 
-_SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
+SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _CHUNK = 4096  # frames at a time, to bound the memory
 _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
@@ -37,13 +37,17 @@ _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 class SceneProps:
     """The visible props of a scene, recorded frame by frame.
 
-    That is, all bodies but those of the character, whose root body has index
-    ``character``. ``poses`` has positions [m] and rotations, wxyz, of the props that
-    can move, in MuJoCo's world, shape (frames, N, 7).
+    That is, all bodies but those of ``characters``, the indices of their root bodies.
+    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
+    MuJoCo's world, shape (frames, N, 7).
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, character: int, frames: int
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        characters: Sequence[int],
+        frames: int,
     ) -> None:
         self._model, self._data = model, data
         visible = np.flatnonzero(
@@ -54,7 +58,7 @@ class SceneProps:
         self._geoms = {
             int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
             for body in dict.fromkeys(model.geom_bodyid[visible])
-            if model.body_rootid[body] != character
+            if model.body_rootid[body] not in characters
         }
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
         self.poses = np.empty((frames, len(self._moving), 7))
@@ -178,12 +182,11 @@ class PhysicsFilter(PulledCharacter):
         """
         count = len(time)
         check_target(positions, rotations)
-        accelerations = _accelerations(time, positions)
+        accelerations = accelerations_of(time, positions)
         result, roots = np.empty_like(rotations), np.empty((count, 3))
         types = (float, float, np.int64, np.bool_)
         trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
-        character = int(self._bodies[self.body.skeleton.root])
-        things = SceneProps(self.model, self.data, character, count)
+        things = SceneProps(self.model, self.data, [self.root_body], count)
         own = np.isin(self.model.geom_bodyid, self._bodies)
         for k in range(count) if frames is None else frames:
             if k % _CHUNK == 0:
@@ -193,10 +196,10 @@ class PhysicsFilter(PulledCharacter):
             if k == 0 or dt > LONG_GAP:
                 self.start(*target, reset_props=k == 0)
                 # Hold the first target until the initial transient is gone.
-                for _ in range(_SETTLING):
+                for _ in range(SETTLING):
                     self.step(*target, 1 / 30, stands=feet)
             elif self.compliance is None and not self.grasp.props:
-                trace.reset[k] = not self._follow(moves[k % _CHUNK], feet)
+                trace.reset[k] = not self.world.follow([moves[k % _CHUNK]], [feet])[0]
             else:  # which changes the targets
                 gained = accelerations[k]
                 hands = None if seen is None else seen[k]
@@ -229,7 +232,7 @@ class PhysicsFilter(PulledCharacter):
         there = slice(first, first + _CHUNK)
         back = np.maximum(np.arange(len(time))[there] - 1, 0)
         dt = time[there] - time[back]
-        return self._move(
+        return self._plan(
             (to_mujoco(positions[back]), to_mujoco(rotations[back])),
             (to_mujoco(positions[there]), to_mujoco(rotations[there])),
             to_mujoco(accelerations[there]),
@@ -238,7 +241,7 @@ class PhysicsFilter(PulledCharacter):
         )
 
 
-def _accelerations(time: Array, positions: Array) -> Array:
+def accelerations_of(time: Array, positions: Array) -> Array:
     """Return central second differences [m/s^2], 0 at the ends of each part."""
     accelerations, steps = np.zeros_like(positions), np.diff(time)[:, None, None]
     velocities = np.diff(positions, axis=0) / steps

@@ -46,20 +46,24 @@ def seen_hands(reliability: Array, skeleton: Skeleton) -> Flags:
 class Grasp:
     """The hands of a character in a scene with props that have ties (``add_ties``).
 
-    At most one prop is held at a time.
+    At most one prop is held at a time. The names of the character's parts begin with
+    a ``prefix``.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: Body) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, body: Body, prefix: str = ""
+    ) -> None:
         self._data, skeleton = data, body.skeleton
         self._palms = skeleton.sides("Hand")
         self._shoulders = skeleton.sides("Shoulder")
         self._root, self._reach = skeleton.root, Reach(body)
         knees, trunk = skeleton.sides("Knee"), [skeleton.root, skeleton.girdle]
         front = [*trunk, *knees, *skeleton.hips]
-        self._front = [model.site(skeleton.joints[j]).id for j in front]
-        self._sites = [model.site(name).id for name in HANDS]
+        self._front = [model.site(f"{prefix}{skeleton.joints[j]}").id for j in front]
+        left, right = (f"{prefix}{hand}" for hand in HANDS)
+        self._sites = [model.site(name).id for name in (left, right)]
         palm = float(body.radii[self._palms[0]])
-        props = Holdable.all(model, data, palm)
+        props = Holdable.all(model, data, palm, (left, right))
         self.props = [prop for prop in props if prop.weight < 2.0 * STRENGTH]
         self._carry: Carry | None = None
         self._sought: Holdable | None = None

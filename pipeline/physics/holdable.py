@@ -7,7 +7,7 @@ import numpy as np
 
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Indices
-from kinefilter.characters.humanoid import from_mujoco, to_mujoco
+from kinefilter.characters.humanoid import from_mujoco, prefix_of, to_mujoco
 from kinefilter.characters.rotations import cross, unit
 
 HANDS = ("HandLeft", "HandRight")
@@ -26,8 +26,8 @@ _LEVELING = 15.0  # rad/s: natural frequency at which held props turn level
 _WRISTS = 20.0  # N m of both wrists together
 
 
-def add_ties(spec: mujoco.MjSpec) -> None:
-    """Add loose ties of both hands of a character to each movable prop of its scene.
+def add_ties(spec: mujoco.MjSpec, characters: int = 1) -> None:
+    """Add loose ties of the hands of all characters to each movable prop of a scene.
 
     Props without names get that of ``SceneProps``, as ties need one.
     """
@@ -37,9 +37,10 @@ def add_ties(spec: mujoco.MjSpec) -> None:
         for k, body in enumerate(spec.bodies)
         if any(joint.type == free for joint in body.joints)
     ]
-    for k, prop in props[1:]:  # the first is the character's root
+    hands = [f"{prefix_of(n)}{hand}" for n in range(characters) for hand in HANDS]
+    for k, prop in props[characters:]:  # the first are the characters' roots
         prop.name = prop.name or f"body{k}"
-        for hand in HANDS:
+        for hand in hands:
             spec.add_equality(
                 name=f"hold:{prop.name}:{hand}",
                 type=mujoco.mjtEq.mjEQ_CONNECT,
@@ -71,16 +72,22 @@ def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
 class Holdable:
     """A movable prop, with a tie to each hand of the character.
 
-    ``palm`` is the distance of the hands' surface from their joints [m].
+    ``palm`` is the distance of the hands' surface from their joints [m], and ``hands``
+    are the names of the hands' bodies.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, body: int, palm: float
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        body: int,
+        palm: float,
+        hands: tuple[str, str],
     ) -> None:
         self._model, self._data, self._body, self._palm = model, data, body, palm
-        name = model.body(body).name
-        self._ties = [model.equality(f"hold:{name}:{hand}").id for hand in HANDS]
-        self._hands = [model.body(hand).id for hand in HANDS]
+        self.name = model.body(body).name
+        self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
+        self._hands = [model.body(hand).id for hand in hands]
         geoms = np.flatnonzero((_props_of(model) == body) & (model.geom_contype != 0))
         # A single simple shape has axes of its own; others have those of the body.
         kind = model.geom_type[geoms[0]] if len(geoms) == 1 else _MESH
@@ -94,13 +101,20 @@ class Holdable:
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
-    def all(model: mujoco.MjModel, data: mujoco.MjData, palm: float) -> list[Holdable]:
+    def all(
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        palm: float,
+        hands: tuple[str, str],
+    ) -> list[Holdable]:
         """Return all props with ties that are not too small for two hands."""
         mujoco.mj_kinematics(model, data)
         solid = set(_props_of(model)[model.geom_contype != 0])
-        tied = {f"hold:{model.body(k).name}:{HANDS[0]}": int(k) for k in solid}
+        tied = {f"hold:{model.body(k).name}:{hands[0]}": int(k) for k in solid}
         names = [model.equality(k).name for k in range(model.neq)]
-        props = [Holdable(model, data, tied[n], palm) for n in names if n in tied]
+        props = [
+            Holdable(model, data, tied[n], palm, hands) for n in names if n in tied
+        ]
         return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
 
     @property

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters.arrays import Array, Indices
-from kinefilter.characters.humanoid import PULLS
 
 
 class Momentum:
@@ -15,20 +14,25 @@ class Momentum:
     The engine reports the forces at the beginning of a substep but integrates others,
     as it evaluates damping at the substep's end unless a force is at its bound. So what
     the pulls gave is computed from the momentum that was gained. ``masses`` [kg] move
-    with the sites at the character's joints, both of shape (J,).
+    with the sites at the character's joints, both of shape (J,); ``pulls`` are its
+    actuators.
     """
 
     def __init__(
-        self, data: mujoco.MjData, sites: Indices, masses: Array, root: int
+        self,
+        data: mujoco.MjData,
+        sites: Indices,
+        masses: Array,
+        root: int,
+        pulls: slice,
     ) -> None:
         self._data, model = data, data.model
         first = int(model.body_dofadr[root])
         whole = slice(first, first + 3)  # these forces act on the whole body
         # Views of the engine's memory: reading an attribute makes a new one.
         self._given = data.qfrc_constraint[whole], data.qfrc_actuator[whole]
-        pulls = int(np.sum(model.actuator_group == PULLS))
-        self._pulling, self._places = data.actuator_force[:pulls], data.site_xpos
-        self._directions = model.actuator_gear[:pulls, :3].copy()
+        self._pulling, self._places = data.actuator_force[pulls], data.site_xpos
+        self._directions = model.actuator_gear[pulls, :3].copy()
         self._upward = self._directions[:, 2].copy()
         self._masses = np.zeros(model.nsite)
         self._masses[sites] = masses
@@ -37,8 +41,13 @@ class Momentum:
 
     def start(self) -> None:
         """Reset the state to a body at rest."""
-        self._before, self._steps = np.zeros(3), 0
+        self._before = np.zeros(3)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the forces that were added, because the frame is simulated again."""
         self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulling))
+        self._steps = 0
 
     def add(self) -> None:
         """Add the forces of a substep: of the floor, props, ties and pulls."""
@@ -52,16 +61,21 @@ class Momentum:
         """Upward force of all pulls in the last substep [N]."""
         return float(self._pulling @ self._upward)
 
+    def note(self) -> None:
+        """Note where the body was before the last substep.
+
+        To be called before the kinematics of the data are brought up to date.
+        """
+        self._there = self._masses @ self._places
+
     def unexplained(self, pushed: Array) -> Array:
         """Return the mean force [N], (3,), since the last call that only pulls explain.
 
         That is, not contacts, ties, gravity or pushes, of which the sum (3,) is given.
-        Also brings the kinematics of the data up to date.
         """
-        model, there = self._data.model, self._masses @ self._places
-        mujoco.mj_kinematics(model, self._data)
+        model = self._data.model
         step = model.opt.timestep
-        momentum = (self._masses @ self._places - there) / step
+        momentum = (self._masses @ self._places - self._there) / step
         explained = (self._forces - self._pulled @ self._directions) / self._steps
         gained = (momentum - self._before) / (step * self._steps)
         self.start()

@@ -1,8 +1,10 @@
-"""A character that repeats a motion in a scene, and that one can push and throw at."""
+"""Characters that repeat motions in a scene, and that one can push and throw at."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from kinefilter.retarget.stance import smooth_step
 from .filter import SceneProps
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
+from .world import World
 
 RATE = 30.0
 """Frame rate [1/s] of the motion and of recordings."""
@@ -37,6 +40,7 @@ _PARKED = (-300.0, 0.0)  # m: where balls wait on the floor, too far away to be 
 _PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
 _STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
 _BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
+_BESIDE = 0.6  # m between the reach of characters who start beside each other
 _HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 
@@ -44,35 +48,47 @@ _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 class Playground:
     """An interactive simulation for a page or a game, in the scene's frame, y up.
 
-    The motion is moved to the origin, facing +z, and repeated in a scene, one of SCENES
-    or an MJCF file. Raises InputError as ``load_scene``, or if the motion is too short.
+    Each motion is moved so that it begins facing +z, the first at the origin and the
+    others beside it, unless ``placed``: then they are where their clips have them, seen
+    from the first. They are repeated in a scene, one of SCENES or an MJCF file. Raises
+    InputError as ``World``, or if a motion is too short.
     """
 
     def __init__(
-        self, motion: Clip, scene: str | Path, tracking: TrackingName = "game"
+        self,
+        motions: Clip | Sequence[Clip],
+        scene: str | Path,
+        tracking: TrackingName = "game",
+        *,
+        placed: bool = False,
     ) -> None:
-        self.motion = _closed(motion)
+        clips = [motions] if isinstance(motions, Clip) else motions
+        self.motions = _placed(clips) if placed else _beside(clips)
+        self.motion = self.motions[0]
         self.scene, self.tracking = scene, tracking
-        self._frames: deque[tuple[Any, ...]] | None = None
+        self._frames: deque[list[tuple[Any, ...]]] | None = None
         self._set_up()
 
     def _set_up(self) -> None:
-        body = self.motion.body
-        self.character = PulledCharacter(
-            body, TRACKINGS[self.tracking], scene=self.scene, extend=_add_balls
+        bodies = [motion.body for motion in self.motions]
+        tracking = TRACKINGS[self.tracking]
+        self.world = World(bodies, tracking, scene=self.scene, extend=_add_balls)
+        self.characters = tuple(
+            PulledCharacter(body, tracking, world=self.world) for body in bodies
         )
-        model = self.character.model
-        root = model.body(body.skeleton.joints[body.skeleton.root]).id
-        self.scene_props = SceneProps(model, self.character.data, root, 1)
+        self.character = self.characters[0]
+        model, roots = self.world.model, [c.root_body for c in self.characters]
+        self.scene_props = SceneProps(model, self.world.data, roots, 1)
         self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
-        self._dragged: tuple[int, Array, Array] | None = None
+        self._dragged: tuple[int, int, Array, Array] | None = None
         self.resets = 0
         self.restart()
 
     def restart(self) -> None:
-        """Restart the motion, with every prop where the scene has it."""
+        """Restart the motions, with every prop where the scene has it."""
         self.time = 0.0
-        self.character.start(*self._target()[:2])
+        for character, motion in zip(self.characters, self.motions, strict=True):
+            character.start(*self._target(motion)[:2])
         self.scene_props.record(0)
 
     def change(
@@ -90,43 +106,67 @@ class Playground:
 
     def step(self, dt: float) -> None:
         """Advance the simulation by dt [s]."""
-        rounds = int(self.time * RATE) // len(self.motion)
-        self.time += dt
-        if int(self.time * RATE) // len(self.motion) > rounds:
-            self._put_back()
+        before, self.time = self.time, self.time + dt
+        for character, motion in zip(self.characters, self.motions, strict=True):
+            began, now = (
+                int(time * RATE) // len(motion) for time in (before, self.time)
+            )
+            if now > began:
+                self._put_back(character)
         if self._dragged is not None:
-            joint, grabbed, pointer = self._dragged
-            force = _STIFFNESS * (pointer - self.character.positions[joint] - grabbed)
+            number, joint, grabbed, pointer = self._dragged
+            away = pointer - self.characters[number].positions[joint] - grabbed
+            force = _STIFFNESS * away
             size = float(np.linalg.norm(force))
-            self._push(joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
-        positions, rotations, stands = self._target()
-        self.resets += not self.character.step(
-            positions, rotations, dt, stands=stands, seen=self._seen()
-        )
+            self._push(number, joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
+        moves, feet = [], []
+        for character, motion in zip(self.characters, self.motions, strict=True):
+            positions, rotations, stands = self._target(motion)
+            seen = self._seen(motion)
+            moves.append(character.plan(positions, rotations, dt, seen=seen))
+            feet.append(stands)
+        self.resets += int(np.sum(~self.world.follow(moves, feet)))
         self.scene_props.record(0)
         if self._frames is not None:
-            contacts = self.motion.contacts[int(self.time * RATE) % len(self.motion)]
-            pose = self.character.root, self.character.rotations
-            force, props = (
-                self.character.external_force,
-                self.scene_props.poses[0].copy(),
+            props = self.scene_props.poses[0].copy()
+            self._frames.append(
+                [
+                    (
+                        dt,
+                        character.root,
+                        character.rotations,
+                        motion.contacts[int(self.time * RATE) % len(motion)],
+                        character.external_force,
+                        props,
+                    )
+                    for character, motion in zip(
+                        self.characters, self.motions, strict=True
+                    )
+                ]
             )
-            self._frames.append((dt, *pose, contacts, force, props))
 
-    def _put_back(self) -> None:
-        """Put props that hands can hold where the motion, which repeats, begins."""
-        self.character.grasp.start()
-        for prop in self.character.grasp.props:
-            prop.put_back()
+    @staticmethod
+    def _put_back(character: PulledCharacter) -> None:
+        """Put props that hands can hold where a motion, which repeats, begins.
 
-    def _seen(self) -> Flags:
+        What another character holds stays in their hands.
+        """
+        held = [other.grasp.held for other in character.world.characters]
+        names = {prop.name for prop in held if prop is not None}
+        own = character.grasp.held
+        character.grasp.start()
+        for prop in character.grasp.props:
+            if prop.name not in names or (own is not None and own.name == prop.name):
+                prop.put_back()
+
+    def _seen(self, motion: Clip) -> Flags:
         """Return which hands the sensor saw."""
-        frame = int(self.time * RATE) % len(self.motion)
-        return seen_hands(self.motion.reliability[frame], self.motion.skeleton)
+        frame = int(self.time * RATE) % len(motion)
+        return seen_hands(motion.reliability[frame], motion.skeleton)
 
-    def _target(self) -> tuple[Array, Array, Flags]:
-        """Return the motion's positions, rotations and planted feet at this time."""
-        motion, at = self.motion, self.time * RATE
+    def _target(self, motion: Clip) -> tuple[Array, Array, Flags]:
+        """Return a motion's positions, rotations and planted feet at this time."""
+        at = self.time * RATE
         first = int(at) % len(motion)
         second, share = (first + 1) % len(motion), at - int(at)
         turns = slerp(motion.rotations[first], motion.rotations[second], share)
@@ -134,31 +174,40 @@ class Playground:
         stands = planted_feet(motion.contacts[[first]])[0]
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
-    def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> int | None:
-        """Return the joint that ends the part that a ray hits first, None if none."""
+    def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
+        """Return what a ray hits first if it is a character: its number and a joint.
+
+        The joint ends the part that is hit.
+        """
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        model, data, geom = self.character.model, self.character.data, np.zeros(1, "i4")
+        model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
         hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
-        joint = int(self.character.joint_of[model.geom_bodyid[geom[0]]])
-        return None if hit < 0.0 or joint < 0 else joint
+        body = model.geom_bodyid[geom[0]]
+        for number, character in enumerate(self.characters):
+            if hit >= 0.0 and character.joint_of[body] >= 0:
+                return number, int(character.joint_of[body])
+        return None
 
-    def shove(self, joint: int, direction: ArrayLike) -> None:
-        """Push the part that ends at a joint as hard as a person shoves."""
+    def shove(self, joint: int, direction: ArrayLike, number: int = 0) -> None:
+        """Push the part that ends at a character's joint as hard as a person shoves."""
         way = np.asarray(direction, dtype=float)
-        self._push(joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
+        self._push(number, joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
 
-    def _push(self, joint: int, force: Array, seconds: float) -> None:
-        self.character.push(self.motion.skeleton.joints[joint], force, seconds)
+    def _push(self, number: int, joint: int, force: Array, seconds: float) -> None:
+        name = self.motions[number].skeleton.joints[joint]
+        self.characters[number].push(name, force, seconds)
 
-    def drag(self, joint: int, grabbed: ArrayLike, pointer: ArrayLike) -> None:
+    def drag(
+        self, joint: int, grabbed: ArrayLike, pointer: ArrayLike, number: int = 0
+    ) -> None:
         """Pull the part that ends at a joint to a pointer [m], (3,), until ``release``.
 
         Only the first call of a drag uses the place where it is ``grabbed`` [m], (3,).
         """
-        offset = np.asarray(grabbed) - self.character.positions[joint]
-        if self._dragged is not None and self._dragged[0] == joint:
-            offset = self._dragged[1]
-        self._dragged = joint, offset, np.asarray(pointer, dtype=float)
+        offset = np.asarray(grabbed) - self.characters[number].positions[joint]
+        if self._dragged is not None and self._dragged[:2] == (number, joint):
+            offset = self._dragged[2]
+        self._dragged = number, joint, offset, np.asarray(pointer, dtype=float)
 
     def release(self) -> None:
         """End a drag."""
@@ -168,7 +217,7 @@ class Playground:
         """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
         ball = next(self._balls)
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        data, place, speed = self.character.data, ball.qposadr[0], ball.dofadr[0]
+        data, place, speed = self.world.data, ball.qposadr[0], ball.dofadr[0]
         data.qpos[place : place + 3] = start
         data.qvel[speed : speed + 6] = 0.0
         data.qvel[speed : speed + 3] = _BALL_SPEED * (way / np.linalg.norm(way))
@@ -180,20 +229,18 @@ class Playground:
 
     @property
     def doing(self) -> str:
-        """What the character does, in words."""
-        gives = self.character.compliance
-        if self.limp and not (gives and gives.fallen):
-            return "hangs limp"
-        return "follows" if gives is None else gives.doing
+        """What each character does, in words."""
+        return ", ".join(map(_doing, self.characters))
 
     @property
     def limp(self) -> bool:
-        """Whether nothing pulls the character; can be set."""
-        return self.character.limp
+        """Whether nothing pulls the characters; can be set."""
+        return all(character.limp for character in self.characters)
 
     @limp.setter
     def limp(self, value: bool) -> None:
-        self.character.limp = value
+        for character in self.characters:
+            character.limp = value
 
     @property
     def recording(self) -> int | None:
@@ -204,11 +251,22 @@ class Playground:
         """Start a recording; it keeps the last ten minutes."""
         self._frames = deque(maxlen=_LONGEST)
 
-    def recorded(self) -> Clip:
-        """Stop the recording and return it; raises InputError if it is too short."""
+    def recorded(self) -> list[Clip]:
+        """Stop the recording and return each character's clip.
+
+        Raises InputError if it is too short.
+        """
         frames, self._frames = self._frames or deque(), None
         if len(frames) < 2:
             raise InputError("nothing was recorded; play for a moment before stopping")
+        return [
+            self._clip(motion, rows)
+            for motion, rows in zip(
+                self.motions, zip(*frames, strict=True), strict=True
+            )
+        ]
+
+    def _clip(self, played: Clip, frames: tuple[tuple[Any, ...], ...]) -> Clip:
         columns = map(np.array, zip(*frames, strict=True))
         steps, root, rotations, contacts, force, poses = columns
         current, self.scene_props.poses = self.scene_props.poses, poses
@@ -216,7 +274,7 @@ class Playground:
         self.scene_props.poses = current
         motion = Motion(
             time=np.cumsum(steps) - steps[0],
-            body=self.motion.body,
+            body=played.body,
             root=root,
             rotations=rotations,
             source="kinefilter play",
@@ -224,12 +282,48 @@ class Playground:
         return Clip.of(motion, contacts=contacts, external_force=force, props=props)
 
 
-def _closed(clip: Clip) -> Clip:
-    """Return a clip moved to the origin, with a transition back to its beginning."""
+def _doing(character: PulledCharacter) -> str:
+    gives = character.compliance
+    if character.limp and not (gives and gives.fallen):
+        return "hangs limp"
+    return "follows" if gives is None else gives.doing
+
+
+def _beside(clips: Sequence[Clip]) -> list[Clip]:
+    """Return closed motions that begin beside each other, the first at the origin.
+
+    Odd ones begin on the left of the first, even ones on its right.
+    """
+    motions = [_closed(clip, _beginning(clip)) for clip in clips]
+    ends, moved = [0.0, 0.0], []
+    for number, motion in enumerate(motions):
+        across = motion.positions[0, :, 0]
+        place = 0.0
+        if number:
+            side = number % 2
+            reach = _BESIDE - (across.min() if side else -across.max())
+            place = ends[side] + reach if side else ends[side] - reach
+        ends[0] = min(ends[0], place + float(across.min()))
+        ends[1] = max(ends[1], place + float(across.max()))
+        moved.append(replace(motion, root=motion.root + np.array([place, 0.0, 0.0])))
+    return moved
+
+
+def _placed(clips: Sequence[Clip]) -> list[Clip]:
+    """Return closed motions where their clips have them, the first at the origin."""
+    place = _beginning(clips[0])
+    return [_closed(clip, place) for clip in clips]
+
+
+def _beginning(clip: Clip) -> HeadingFrame:
     if len(clip) < 2:
         raise InputError(f"{clip.source} has {len(clip)} frames; expected 2 or more")
+    return find_placement(resampled(clip, RATE).positions, clip.skeleton)
+
+
+def _closed(clip: Clip, place: HeadingFrame) -> Clip:
+    """Return a clip as seen from a place, with a transition back to its beginning."""
     clip = resampled(clip, RATE)
-    place = find_placement(clip.positions, clip.skeleton)
     root = place.remove(clip.root[:, None])[:, 0]
     turns = place.remove_rotations(clip.rotations)
     seconds = max(_BACK, float(np.linalg.norm(root[-1] - root[0])) / _SLOWEST)

@@ -17,37 +17,31 @@ from numpy.typing import ArrayLike
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
-from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
+from kinefilter.characters.humanoid import (
+    FLOOR_BIT,
+    PULLS,
+    from_mujoco,
+    prefix_of,
+    to_mujoco,
+)
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
-from kinefilter.scenes import load_scene
 
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .grasp import Grasp
-from .holdable import add_ties
 from .momentum import Momentum
 from .moves import Move, MovePlanner
 from .stuck_limbs import StuckLimbs
+from .world import World
 
-_UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
-_SUBSTEP = 1.0 / 240.0
-"""Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
-in six recorded takes of punches and kicks diverged somewhere."""
 _LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
-_TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
 _LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
 _REACTION_TIME = 0.02  # s in which feet press as hard as the pulls carry. A guess.
 _HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, landing
-
-
-def steps_in(dt: float) -> tuple[int, int]:
-    """Return how many updates are in a frame of ``dt`` [s], and steps in an update."""
-    updates = max(1, int(np.ceil(dt / _UPDATE - 1e-3)))
-    return updates, max(1, int(np.ceil(dt / (updates * _SUBSTEP) - 1e-3)))
 
 
 def check_target(positions: Array, rotations: Array) -> None:
@@ -62,8 +56,8 @@ class PulledCharacter:
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
     joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. The scene is one of SCENES or an MJCF file, by default a floor; ``extend`` is
-    called to add to it before it is compiled. Raises InputError as ``load_scene``.
+    frame. It is alone in a world of its own, made of a scene and ``extend`` as in
+    ``World``, unless it is given one with others. Raises InputError as ``World``.
     """
 
     def __init__(
@@ -73,57 +67,61 @@ class PulledCharacter:
         *,
         scene: str | Path | None = None,
         extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
+        world: World | None = None,
     ) -> None:
         self.body, joints = body, body.skeleton.joints
-        if scene is None:
-            spec = build_humanoid(body, tracking)
-            # Finding the parts that do not touch each other costs 3 % and finds one.
-            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        else:
-            spec = load_scene(scene, body, tracking=tracking)
-            add_ties(spec)
-        extend(spec)
-        self.model = model = spec.compile()
-        self.data = mujoco.MjData(model)
-        self._sites = np.array([model.site(name).id for name in joints])
-        self._bodies = np.array([model.body(name).id for name in joints])
-        root = int(self._bodies[body.skeleton.root])
-        ends = [model.joint(joints[j]) for j in body.skeleton.segments]
+        if world is None:
+            world = World([body], tracking, scene=scene, extend=extend)
+        self.world, self.model, self.data = world, world.model, world.data
+        model, prefix = self.model, prefix_of(len(world.characters))
+        names = [f"{prefix}{name}" for name in joints]
+        self._sites = np.array([model.site(name).id for name in names])
+        self._bodies = np.array([model.body(name).id for name in names])
+        self.root_body = root = int(self._bodies[body.skeleton.root])
+        ends = [model.joint(names[j]) for j in body.skeleton.segments]
         self._balls = np.array([ball.qposadr[0] for ball in ends])
+        free = model.joint(names[body.skeleton.root])
+        first, speed = int(free.qposadr[0]), int(free.dofadr[0])
+        self._root = slice(first, first + 7)
+        self._speeds = slice(speed, speed + 6 + 3 * len(ends))
+        number = world.add(self, slice(first, first + 7 + 4 * len(ends)), self._speeds)
         # For each body of the model the joint at its end, -1 if not the character's.
         self.joint_of = np.full(model.nbody, -1)
         self.joint_of[self._bodies] = np.arange(len(joints))
-        # The character's actuators come first: forces, then torques, of which the first
-        # three are the root's, then one per segment.
-        count = int(np.sum(model.actuator_group == PULLS))
-        bias = model.actuator_biasprm[:count]
+        # Forces, then torques, of which the first three are the root's, then one per
+        # segment.
+        self.group = PULLS - number
+        pulls = np.flatnonzero(model.actuator_group == self.group)
+        self._pulls = slice(int(pulls[0]), int(pulls[-1]) + 1)
+        bias = model.actuator_biasprm[self._pulls]
         self._stiffness, self._damping = self._gains = -bias[:, 1], -bias[:, 2]
-        torques = range(3 * len(joints), count)
-        turned = [model.actuator(i).name.split(":")[1] for i in torques]
+        torques = pulls[3 * len(joints) :]
+        turned = [model.actuator(i).name.split(":")[-2] for i in torques]
         self._turned = np.array([joints.index(name) for name in turned])
-        self._move = MovePlanner(body, self._turned, model.actuator_gear[torques, 3:])
-        targets = [model.body(f"target:{name}").id for name in joints]
+        self._plan = MovePlanner(body, self._turned, model.actuator_gear[torques, 3:])
+        targets = [model.body(f"{prefix}target:{name}").id for name in joints]
         self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+        # Other characters count as props, which can hit this one.
         self._props = np.isin(model.body_rootid, free[free != root])
         self._movable = bool(self._props.any())
-        self.grasp = Grasp(model, self.data, body)
+        own = np.isin(model.geom_bodyid, self._bodies)
+        self._geoms = np.flatnonzero(own)
+        self._collisions = model.geom_contype[own], model.geom_conaffinity[own]
+        self.grasp = Grasp(model, self.data, body, prefix)
         self._weight = float(body.mass * GRAVITY)
-        self._momentum = Momentum(self.data, self._sites, joint_masses(body), root)
+        self.momentum = Momentum(
+            self.data, self._sites, joint_masses(body), root, self._pulls
+        )
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
         self._soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
-        self._joint_damping = model.dof_damping.copy()
+        self._joint_damping = model.dof_damping[self._speeds].copy()
         self.compliance = None
         if isinstance(tracking, GameTracking):
             self.compliance = Compliance(body, tracking)
         self.limp = isinstance(tracking, RagdollTracking)
         """Whether nothing pulls the character, so that it falls; can be set."""
-        self._disabled = model.opt.disableactuator
-        if mujoco.get_mju_user_warning() is None:
-            # The engine's own handler writes a log file into the working directory;
-            # the trace reports diverging steps anyway.
-            mujoco.set_mju_user_warning(lambda _: None)
         self.start(body.rest_positions, np.tile(IDENTITY, (len(joints), 1)))
 
     def start(
@@ -131,18 +129,16 @@ class PulledCharacter:
     ) -> None:
         """Put the character at rest onto a target; raises InputError if it has NaN.
 
-        With ``reset_props`` props return to where the scene has them, else they stop.
+        With ``reset_props`` props return to where the scene has them; otherwise they
+        stop, unless others are in the world.
         """
         check_target(positions, rotations)
-        there = self.data.qpos.copy()
-        mujoco.mj_resetData(self.model, self.data)
-        if not reset_props:
-            self.data.qpos[:] = there
+        self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
         self._load, self._pressing = np.zeros(2), np.zeros(2)
         self._carried = self._weight
-        self._momentum.start()
+        self.momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
         self.grasp.start(props_stay=not reset_props)
@@ -179,11 +175,28 @@ class PulledCharacter:
         """Advance by dt [s] towards a target; return False if it had to be reset.
 
         Afterwards ``positions``, ``rotations`` and ``root`` are those of the new pose.
+        Arguments are those of ``plan``. ``stands`` says whether each foot (left, right)
+        bears weight; by default none does, and the pulls carry the body. In a world
+        with others, call ``plan`` for each and then ``World.follow``.
+        """
+        move = self.plan(positions, rotations, dt, acceleration=acceleration, seen=seen)
+        return bool(self.world.follow([move], [stands])[0])
+
+    def plan(
+        self,
+        positions: Array,
+        rotations: Array,
+        dt: float,
+        *,
+        acceleration: Array | None = None,
+        seen: Flags | None = None,
+    ) -> Move:
+        """Return the move to a target within dt [s], for ``World.follow``.
+
         The acceleration of the target [m/s^2], shape (J, 3), is by default that of the
-        last two steps, half a frame late. ``stands`` says whether each foot (left,
-        right) bears weight; by default none does, and the pulls carry the body. What
-        is held stays in hands that the sensor has not ``seen``, shape (2,).
-        Raises InputError if the target is not finite or no time passes.
+        last two steps, half a frame late. What is held stays in hands that the sensor
+        has not ``seen``, shape (2,). Raises InputError if the target is not finite or
+        no time passes.
         """
         check_target(positions, rotations)
         if not 0.0 < dt < np.inf:
@@ -203,60 +216,68 @@ class PulledCharacter:
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._velocity = velocity
         share = 1.0 if gives is None else gives.recovered
-        move = self._move(before, after, gained, dt, self._damping, share)
-        return self._follow(move, stands)
+        return self._plan(before, after, gained, dt, self._damping, share)
 
-    def _follow(self, move: Move, stands: Flags | None) -> bool:
-        """Pull the character through a move; return False if it had to be reset."""
-        gives, model, data, dt = self.compliance, self.model, self.data, move.duration
-        began, before = data.time, (data.qpos.copy(), data.qvel.copy())
-        (before_p, before_q), (after_p, after_q) = move.before, move.after
-        self._target = move.after
+    def begin(self, move: Move, stands: Flags | None) -> None:
+        """Apply the forces of a move that do not change during it."""
+        gives, data, dt = self.compliance, self.data, move.duration
+        self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
         self._load_feet(move, stands if carries else None)
         self._pressing = np.zeros(2)
-        pushed = np.zeros(3)
+        self._pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
             given = force * min(left / dt, 1.0)
             data.xfrc_applied[part, :3] += given
-            pushed += given
+            self._pushed += given
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
-        n, ctrl, quats = after_p.size, data.ctrl, data.mocap_quat
-        ctrl[n : len(move.forward)] = move.forward[n:]
-        stiffness, forward = self._stiffness[:n], move.forward[:n]
+        n, ctrl = move.after[0].size, data.ctrl[self._pulls]
+        ctrl[n:] = move.forward[n:]
+        self._forward = move.forward[:n]
         if (held := self.grasp.weight) > 0.0:
-            forward = forward.copy()
-            forward.reshape(-1, 3)[self._palms, 2] += 0.5 * held
-        updates, substeps = steps_in(dt)
-        model.opt.timestep = dt / (updates * substeps)
-        model.opt.disableactuator = self._disabled | (self.limp << PULLS)
-        for k in range(updates):
-            # Midway between the first and the last step of this update, as the engine
-            # compares the target with the state at the beginning of a step.
-            share = (k + 0.5 - 0.5 / substeps) / updates
-            point = before_p + share * (after_p - before_p)
-            ctrl[:n] = stiffness * point.ravel() + forward
-            # The engine normalizes these quaternions.
-            quats[self._mocap] = before_q + share * (after_q - before_q)
-            for _ in range(substeps):
-                self._press_feet(model.opt.timestep)
-                mujoco.mj_step(model, data)
-                self._momentum.add()
-                if gives is not None and self._movable:
-                    gives.hit_by_props(model, data, self.joint_of, self._props)
-        self._external = self._momentum.unexplained(pushed)
-        if self._diverged(after_p, began) or self._stuck(dt):
-            mujoco.mj_resetData(model, data)
-            data.qpos[:], data.qvel[:] = before  # of the props
-            self._place(after_p, after_q)
-            self.grasp.drop()
-            self._momentum.start()
-            self._external[:] = 0.0
-            return False
-        self._raise()
-        return True
+            self._forward = self._forward.copy()
+            self._forward.reshape(-1, 3)[self._palms, 2] += 0.5 * held
+
+    def begin_again(self) -> None:
+        """Forget what it felt since ``begin``, because the step is taken again."""
+        self.momentum.forget()
+        self._pressing = np.zeros(2)
+        if self.compliance is not None:
+            self.compliance.forget_hits()
+
+    def aim(self, share: float) -> None:
+        """Aim the pulls at the point that lies at a share of the move."""
+        (before_p, before_q), (after_p, after_q) = self._move.before, self._move.after
+        n = after_p.size
+        point = before_p + share * (after_p - before_p)
+        ctrl = self.data.ctrl[self._pulls]
+        ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
+        # The engine normalizes these quaternions.
+        turns = before_q + share * (after_q - before_q)
+        self.data.mocap_quat[self._mocap] = turns
+
+    def feel(self) -> None:
+        """Note what the last substep did to the character."""
+        self.momentum.add()
+        if self.compliance is not None and self._movable:
+            self.compliance.hit_by_props(
+                self.model, self.data, self.joint_of, self._props
+            )
+
+    def end(self) -> None:
+        """Evaluate the forces of the move."""
+        self._external = self.momentum.unexplained(self._pushed)
+
+    def put_back(self) -> None:
+        """Put the character at rest onto its target."""
+        target = self._target
+        self._move = self._plan(target, target, 0.0 * target[0], 1.0, self._damping)
+        self._place(*target)
+        self.grasp.drop()
+        self.momentum.start()
+        self._external[:] = 0.0
 
     @property
     def _yields(self) -> bool:
@@ -269,7 +290,8 @@ class PulledCharacter:
         """Return the target as changed by hits, and scale the pulls."""
         for part, force, left in self._pushes:
             gives.hit(self.joint_of[part], from_mujoco(force) * min(left, dt))
-        if self.limp and gives.can_rise(dt, float(np.linalg.norm(self.data.qvel[:3]))):
+        speed = float(np.linalg.norm(self.data.qvel[self._speeds][:3]))
+        if self.limp and gives.can_rise(dt, speed):
             self.limp = False
         if self._was_limp and not self.limp:
             gives.rise(self.root, self.rotations, positions[self.body.skeleton.root])
@@ -282,10 +304,10 @@ class PulledCharacter:
         share = np.concatenate([share.repeat(3), share[self._turned]])
         stiffness, damping = self._gains
         self._stiffness, self._damping = stiffness * share**2, damping * share
-        self.model.actuator_biasprm[: len(share), 1] = -self._stiffness
-        self.model.actuator_biasprm[: len(share), 2] = -self._damping
+        self.model.actuator_biasprm[self._pulls, 1] = -self._stiffness
+        self.model.actuator_biasprm[self._pulls, 2] = -self._damping
         scale = FALLEN_DAMPING if gives.fallen else 1.0
-        self.model.dof_damping[:] = self._joint_damping * scale
+        self.model.dof_damping[self._speeds] = self._joint_damping * scale
         return gives.target(positions, rotations, dt)
 
     def _load_feet(self, move: Move, stands: Flags | None) -> None:
@@ -297,28 +319,29 @@ class PulledCharacter:
         loads = self._load + np.clip(wanted - self._load, -most, most)
         self._load = np.where(wanted > 0.0, loads, 0.0)
 
-    def _press_feet(self, dt: float) -> None:
+    def press_feet(self, dt: float) -> None:
         """Press loaded feet on the floor with what the pulls carry of the body.
 
         Muscles act between the body and the feet, so that only the floor carries it.
         """
         share = min(dt / _REACTION_TIME, 1.0)
-        self._carried += share * (self._momentum.lifting - self._carried)
+        self._carried += share * (self.momentum.lifting - self._carried)
         most = _HARDEST_STEP * self._weight
         pressing = self._load * min(max(self._carried, 0.0), most)
         self.data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
         self._pressing = pressing
 
-    def _diverged(self, target: Array, before: float) -> bool:
-        """Return True if the character spins out of control or lost its target."""
-        # The engine restarts at time 0 when its numbers overflow.
-        if not self.data.time > before or not np.abs(self.data.qvel).max() < _TOP_SPEED:
-            return True
-        away = np.abs(self.data.site_xpos[self._sites] - target).max()
+    @property
+    def is_lost(self) -> bool:
+        """Whether it is too far from its target, or nowhere."""
+        away = np.abs(self.data.site_xpos[self._sites] - self._target[0]).max()
         return not (self._yields or away < _LOST)  # also True for NaN
 
-    def _stuck(self, dt: float) -> bool:
-        """Return True if a limb is stuck, unless it may hang or was pushed away."""
+    def is_stuck(self, dt: float) -> bool:
+        """Return True if a limb is stuck, unless it may hang or was pushed away.
+
+        To be called once a step, after ``dt`` [s].
+        """
         if self._yields or self._pushes:
             self._limbs.start()
             return False
@@ -327,20 +350,37 @@ class PulledCharacter:
 
     def _place(self, positions: Array, rotations: Array) -> None:
         skeleton, qpos = self.body.skeleton, self.data.qpos
-        qpos[:3], qpos[3:7] = positions[skeleton.root], rotations[skeleton.root]
+        at = positions[skeleton.root], rotations[skeleton.root]
+        qpos[self._root] = np.concatenate(at)
         relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
-        self.data.qvel[: 3 * len(self._balls) + 6] = 0.0
+        self.data.qvel[self._speeds] = 0.0
         self.data.mocap_quat[self._mocap] = rotations
         mujoco.mj_kinematics(self.model, self.data)
-        self._raise()
+        self.rise_from_floor()
 
-    def _raise(self) -> None:
+    def rise_from_floor(self) -> None:
         """Raise the whole character if it was thrown into the floor."""
         depth = floor_penetration(self.data.site_xpos[self._sites, 2], self._clearance)
         if depth > 0.0:
-            self.data.qpos[2] += depth
+            self.data.qpos[self._root][2] += depth
             mujoco.mj_kinematics(self.model, self.data)
+
+    @property
+    def solid(self) -> bool:
+        """Whether it touches others, itself and props, not only the floor; can be set.
+
+        Has no effect on a character that is alone in its world.
+        """
+        return bool(self.model.geom_contype[self._geoms].any())
+
+    @solid.setter
+    def solid(self, value: bool) -> None:
+        if len(self.world.characters) > 1:
+            types, like = self._collisions
+            bits = (types, like) if value else (0, like & FLOOR_BIT)
+            self.model.geom_contype[self._geoms] = bits[0]
+            self.model.geom_conaffinity[self._geoms] = bits[1]
 
     @property
     def rotations(self) -> Array:
@@ -350,7 +390,7 @@ class PulledCharacter:
     @property
     def root(self) -> Array:
         """Position of the root joint [m], world frame, shape (3,)."""
-        return from_mujoco(self.data.qpos[:3])
+        return from_mujoco(self.data.qpos[self._root][:3])
 
     @property
     def positions(self) -> Array:

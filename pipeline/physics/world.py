@@ -1,0 +1,192 @@
+"""The simulated world: one MuJoCo model of a scene with every character in it.
+
+All characters take a step together, so that they share the props and push each other.
+Only the one that diverges or is stuck is put back: the others take the step again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from kinefilter.characters import Body, Tracking
+from kinefilter.characters.arrays import Flags, Indices
+from kinefilter.characters.humanoid import build_humanoids
+from kinefilter.scenes import load_scene
+
+from .holdable import add_ties
+from .moves import Move
+
+if TYPE_CHECKING:
+    from .pulled_character import PulledCharacter
+
+_UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
+_SUBSTEP = 1.0 / 240.0
+"""Longest simulation step [s]: omega * dt = 0.25 at the default tracking. At 1/120 one
+in six recorded takes of punches and kicks diverged somewhere."""
+_TOP_SPEED = 1e3  # rad/s or m/s: no part of a body is ever that fast
+# What a frame begins with, but not the time, which shows when the engine restarts.
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION) & ~(
+    int(mujoco.mjtState.mjSTATE_TIME) | int(mujoco.mjtState.mjSTATE_WARMSTART)
+)
+_PROP = -1  # owner of a degree of freedom that is no character's
+
+
+def steps_in(dt: float) -> tuple[int, int]:
+    """Return how many updates are in a frame of ``dt`` [s], and steps in an update."""
+    updates = max(1, int(np.ceil(dt / _UPDATE - 1e-3)))
+    return updates, max(1, int(np.ceil(dt / (updates * _SUBSTEP) - 1e-3)))
+
+
+class World:
+    """A scene, one of SCENES or an MJCF file, by default a floor, with characters.
+
+    ``extend`` is called to add to the scene before it is compiled. Each body needs a
+    ``PulledCharacter``, made in the order of the bodies. Raises InputError as
+    ``load_scene`` and ``build_humanoids``.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        tracking: Tracking | None = None,
+        *,
+        scene: str | Path | None = None,
+        extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
+    ) -> None:
+        if scene is None:
+            spec = build_humanoids(bodies, tracking)
+            if len(bodies) == 1:
+                # Finding the parts that do not touch costs 3 % and finds one.
+                spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+        else:
+            spec = load_scene(scene, bodies, tracking=tracking)
+            add_ties(spec, len(bodies))
+        extend(spec)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.characters: list[PulledCharacter] = []
+        self._owner = np.full(self.model.nv, _PROP)
+        self._props = np.ones(self.model.nq, dtype=bool)
+        self._before = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        self._disabled = self.model.opt.disableactuator
+        if mujoco.get_mju_user_warning() is None:
+            # The engine's own handler writes a log file into the working directory;
+            # the trace reports diverging steps anyway.
+            mujoco.set_mju_user_warning(lambda _: None)
+
+    def add(self, character: PulledCharacter, places: slice, speeds: slice) -> int:
+        """Add the character of the next body; return its number, from 0.
+
+        ``places`` and ``speeds`` are where its state is in ``qpos`` and ``qvel``.
+        """
+        number = len(self.characters)
+        self.characters.append(character)
+        self._owner[speeds] = number
+        self._props[places] = False
+        return number
+
+    def reset(self, *, props: bool) -> None:
+        """Prepare for a character that starts, and return props to where they were.
+
+        Without ``props``, those stop where they are if nobody else is there.
+        """
+        data = self.data
+        if len(self.characters) > 1:
+            if props:
+                data.qpos[self._props] = self.model.qpos0[self._props]
+                data.qvel[self._owner == _PROP] = 0.0
+            return
+        there = data.qpos.copy()
+        mujoco.mj_resetData(self.model, data)
+        if not props:
+            data.qpos[:] = there
+
+    def follow(self, moves: Sequence[Move], stands: Sequence[Flags | None]) -> Flags:
+        """Pull each character through its move, all of which take the same time.
+
+        ``stands`` says of each which feet bear weight. Returns, shape (characters,),
+        which were pulled through; the others were put onto their targets.
+        """
+        model, data, characters = self.model, self.data, self.characters
+        dt, began = moves[0].duration, data.time
+        for character, move, feet in zip(characters, moves, stands, strict=True):
+            character.begin(move, feet)
+        mujoco.mj_getState(model, data, self._before, _STATE)
+        self._advance(dt)
+        good = ~self._diverged(began)
+        for k, character in enumerate(characters):
+            good[k] = good[k] and not character.is_stuck(dt)
+        while not good.all():
+            mujoco.mj_resetData(model, data)
+            mujoco.mj_setState(model, data, self._before, _STATE)
+            self._put_back(good)
+            if not good.any():
+                break
+            for character in characters:
+                character.begin_again()
+            self._advance(dt)
+            again = good & ~self._diverged(0.0)
+            self._put_back(good)
+            if (again == good).all():
+                break
+            good = again
+        for character, fine in zip(characters, good, strict=True):
+            if fine:
+                character.rise_from_floor()
+        return good
+
+    def _put_back(self, good: Flags) -> None:
+        for character, fine in zip(self.characters, good, strict=True):
+            if not fine:
+                character.put_back()
+
+    def _advance(self, dt: float) -> None:
+        model, data, characters = self.model, self.data, self.characters
+        updates, substeps = steps_in(dt)
+        model.opt.timestep = dt / (updates * substeps)
+        limp = sum(character.limp << character.group for character in characters)
+        model.opt.disableactuator = self._disabled | limp
+        for k in range(updates):
+            # Midway between the first and the last step of this update, as the engine
+            # compares the target with the state at the beginning of a step.
+            share = (k + 0.5 - 0.5 / substeps) / updates
+            for character in characters:
+                character.aim(share)
+            for _ in range(substeps):
+                for character in characters:
+                    character.press_feet(model.opt.timestep)
+                mujoco.mj_step(model, data)
+                for character in characters:
+                    character.feel()
+        for character in characters:
+            character.momentum.note()
+        mujoco.mj_kinematics(model, data)
+        for character in characters:
+            character.end()
+
+    def _diverged(self, began: float) -> Flags:
+        """Return which characters spin out of control or lost their targets.
+
+        All of them, if a prop does.
+        """
+        data = self.data
+        speeds = np.abs(data.qvel)
+        if not data.time > began:
+            # The engine restarts at time 0 when its numbers overflow, and notes where.
+            noted = [w.lastinfo for w in data.warning if w.number]
+            return self._owned(np.array(noted, dtype=np.intp))
+        if not speeds.max() < _TOP_SPEED:
+            return self._owned(np.flatnonzero(~(speeds < _TOP_SPEED)))
+        return np.array([character.is_lost for character in self.characters])
+
+    def _owned(self, speeds: Indices) -> Flags:
+        """Return whose degrees of freedom these are; everyone's if any is a prop's."""
+        owners = self._owner[speeds]
+        if _PROP in owners or not len(owners):
+            return np.ones(len(self.characters), dtype=bool)
+        return np.isin(np.arange(len(self.characters)), owners)
