@@ -37,6 +37,9 @@ _FREE_FALL = -0.75 * GRAVITY
 """Least upward acceleration [m/s^2] of a smoothed trunk between two stances that tells
 a jump: those of simulated people go below -0.78 g, of steps and turns mostly not below
 -0.6 g (seeds 100 to 102)."""
+_AT_REST = 0.02
+"""Distance [m] of toes from their place at which they rest there. With more, feet bear
+for longer but slide in quick steps (walks, turns, dances, runs; seeds 1100 to 1300)."""
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.3  # s: duration of such a step
 
@@ -66,7 +69,7 @@ def find_stance(
     A foot is planted while its ankle rests and is no higher than the other. Viterbi's
     algorithm finds the most probable sequence of planted and stepping frames; every
     change has a cost, which makes it a hysteresis that looks ahead. Whoever
-    does not jump stands on a foot at any time.
+    does not jump mostly stands on a foot.
     """
     ankles, _ = ankles_and_toes(skeleton)
     weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
@@ -160,10 +163,10 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
 def _supported(
     time: Array, positions: Array, confidence: Array, stands: Flags, skeleton: Skeleton
 ) -> Flags:
-    """Return stances extended so that whoever does not jump stands on a foot.
+    """Return stances extended so that whoever does not jump mostly stands on a foot.
 
     Between two stances that is the foot whose toes are nearer to where they rest before
-    or after, unless they are as far as from one step to the next.
+    or after, while they are there.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -178,7 +181,7 @@ def _supported(
             ends = [max(gap.start - 1, 0), min(gap.stop, len(stands) - 1)]
             away = np.linalg.norm(paths[gap, None] - paths[ends], axis=3)
             away = np.where(stands[ends], away, np.inf).min(axis=1)
-            near = np.flatnonzero(away.min(axis=1) < _DRIFT)
+            near = np.flatnonzero(away.min(axis=1) < _AT_REST)
             longer[gap.start + near, away.argmin(axis=1)[near]] = True
     return longer
 
