@@ -321,8 +321,13 @@ def test_feet_of_a_performance_stand_where_their_toes_rest(
 
 @pytest.mark.parametrize(
     ("motion", "least", "most"),
-    [("turn", 1.0, 1.0), ("lunge", 1.0, 1.0), ("march", 0.95, 1.0), ("walk", 0.9, 1.0)]
-    + [("jump", 0.6, 0.95)],
+    [
+        ("turn", 1.0, 1.0),
+        ("lunge", 1.0, 1.0),
+        ("march", 0.95, 1.0),
+        ("walk", 0.9, 1.0),
+        ("jump", 0.6, 0.95),
+    ],
 )
 def test_only_who_jumps_often_stands_on_no_foot(
     motion: str, least: float, most: float
