@@ -96,7 +96,8 @@ _SHAPES = {
 def _shapes(kind: Any, frames: int, joints: int) -> dict[str, tuple[int, ...]]:
     lengths = {"T": frames, "J": joints, "3": 3, "4": 4}
     names = [field.name for field in fields(kind) if field.name in _SHAPES]
-    names = [name for name in names if getattr(kind, name, 0) is not None]
+    if getattr(kind, "face", None) is None:  # most sensors see none
+        names = [name for name in names if name != "face"]
     return {name: tuple(lengths[k] for k in _SHAPES[name]) for name in names}
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,9 +20,6 @@ from kinefilter.scenes import load_scene
 
 from .holdable import add_ties
 from .moves import Move
-
-if TYPE_CHECKING:
-    from .pulled_character import PulledCharacter
 
 _UPDATE = 1.0 / 60.0  # s at most between two updates of the actuators' targets
 _SUBSTEP = 1.0 / 240.0
@@ -69,7 +66,7 @@ class World:
         extend(spec)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.characters: list[PulledCharacter] = []
+        self.characters: list[Any] = []  # PulledCharacter, whose file imports this one
         self._owner = np.full(self.model.nv, _PROP)
         self._props = np.ones(self.model.nq, dtype=bool)
         self._before = np.empty(mujoco.mj_stateSize(self.model, _STATE))
@@ -79,7 +76,7 @@ class World:
             # the trace reports diverging steps anyway.
             mujoco.set_mju_user_warning(lambda _: None)
 
-    def add(self, character: PulledCharacter, places: slice, speeds: slice) -> int:
+    def add(self, character: Any, places: slice, speeds: slice) -> int:
         """Add the character of the next body; return its number, from 0.
 
         ``places`` and ``speeds`` are where its state is in ``qpos`` and ``qvel``.
