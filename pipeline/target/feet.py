@@ -166,7 +166,7 @@ def _supported(
     """Return stances extended so that whoever does not jump mostly stands on a foot.
 
     Between two stances that is the foot whose toes are nearer to where they rest before
-    or after, while they are there.
+    or after, while they are there, also in the frames before and after.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -181,6 +181,7 @@ def _supported(
             ends = [max(gap.start - 1, 0), min(gap.stop, len(stands) - 1)]
             away = np.linalg.norm(paths[gap, None] - paths[ends], axis=3)
             away = np.where(stands[ends], away, np.inf).min(axis=1)
+            away[1:-1] = np.maximum(np.maximum(away[:-2], away[2:]), away[1:-1])
             near = np.flatnonzero(away.min(axis=1) < _AT_REST)
             longer[gap.start + near, away.argmin(axis=1)[near]] = True
     return longer
