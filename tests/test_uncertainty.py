@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from real_data import PAIRS, paired
 
 from kinefilter import clean
-from kinefilter.characters import KINECT_V1, Clip, Take
+from kinefilter.characters import KINECT_V1, Clip, InputError, Take
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip, write_clip
 from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
@@ -159,9 +159,10 @@ def test_a_tally_counts_errors_within_what_a_clip_says() -> None:
     assert tally.summary()["found"] == pytest.approx(1.0)
 
 
-def test_archives_of_older_versions_do_not_know_it(tmp_path: Path) -> None:
+def test_archives_without_it_are_refused(tmp_path: Path) -> None:
     write_clip(cleaned(blind=False), tmp_path / "clip.npz")
     with np.load(tmp_path / "clip.npz") as archive:
         arrays = {k: archive[k] for k in archive.files if k != "uncertainty"}
     np.savez(tmp_path / "old.npz", **arrays)
-    assert np.isnan(read_clip(tmp_path / "old.npz").uncertainty).all()
+    with pytest.raises(InputError, match=r"old\.npz.*uncertainty"):
+        read_clip(tmp_path / "old.npz")
