@@ -158,6 +158,7 @@ def test_one_who_diverges_is_put_back_without_touching_others_or_props(
         courses.append(course)
         away = np.abs(pair.people[1].positions - pair.targets()[1][0])
         assert away.max() < 0.01
+        assert np.isfinite(pair.world.data.xfrc_applied).all()
     np.testing.assert_allclose(courses[1], courses[0], atol=1e-5)
     assert np.ptp(np.array(courses[0])[:, -3]) > 0.02  # the crate was pushed
 

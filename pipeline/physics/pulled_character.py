@@ -137,7 +137,7 @@ class PulledCharacter:
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
         self._load, self._pressing = np.zeros(2), np.zeros(2)
-        self._carried = self._weight
+        self._carried = self._lifting = self._weight
         self.momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
@@ -222,6 +222,7 @@ class PulledCharacter:
         """Apply the forces of a move that do not change during it."""
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
+        self._began = self._carried, self._lifting
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
         self._load_feet(move, stands if carries else None)
@@ -244,6 +245,7 @@ class PulledCharacter:
         """Forget what it felt since ``begin``, because the step is taken again."""
         self.momentum.forget()
         self._pressing = np.zeros(2)
+        self._carried, self._lifting = self._began
         if self.compliance is not None:
             self.compliance.forget_hits()
 
@@ -261,6 +263,7 @@ class PulledCharacter:
     def feel(self) -> None:
         """Note what the last substep did to the character."""
         self.momentum.add()
+        self._lifting = self.momentum.lifting
         if self.compliance is not None and self._movable:
             self.compliance.hit_by_props(
                 self.model, self.data, self.joint_of, self._props
@@ -277,6 +280,7 @@ class PulledCharacter:
         self._place(*target)
         self.grasp.drop()
         self.momentum.start()
+        self._carried = self._lifting = self._weight
         self._external[:] = 0.0
 
     @property
@@ -325,7 +329,7 @@ class PulledCharacter:
         Muscles act between the body and the feet, so that only the floor carries it.
         """
         share = min(dt / _REACTION_TIME, 1.0)
-        self._carried += share * (self.momentum.lifting - self._carried)
+        self._carried += share * (self._lifting - self._carried)
         most = _HARDEST_STEP * self._weight
         pressing = self._load * min(max(self._carried, 0.0), most)
         self.data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
