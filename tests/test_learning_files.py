@@ -48,6 +48,8 @@ def test_joints_are_where_the_rig_has_them_with_z_up(
     # From a joint to its child it is always the same way in its own axes.
     turns, places = found["global_joint_orientations"], found["global_joint_positions"]
     for n, parent in enumerate(target.rest.parents[2:], start=2):
+        if n in target.followed:
+            continue
         own = Rotation.from_quat(turns[:, parent], scalar_first=True).inv()
         bone = own.apply(places[:, n] - places[:, parent])
         assert np.ptp(bone, axis=0).max() < 1e-9
