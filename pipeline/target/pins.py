@@ -14,11 +14,12 @@ from kinefilter.pipeline.edits import Edit
 from kinefilter.pipeline.reconstruct.foothold import middle_joint
 from kinefilter.pipeline.reconstruct.limbs import limbs
 
-from .feet import PLANTED
+from .feet import PLANTED, ankles_and_toes
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
+_RAISED = 0.01  # m: a foot that is pinned higher has left the floor. A guess.
 _AROUND = 0.5  # s before and after a pin in which the joint joins its own path
 
 
@@ -26,7 +27,8 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
     """Move joints to their pins, and the joints beyond them along with them.
 
     If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
-    handles what is out of reach. If the trunk is pinned, planted feet stay.
+    handles what is out of reach. If the trunk is pinned, planted feet stay. A foot that
+    a pin raises does not stand.
     """
     skeleton, since = draft.skeleton, draft.time - draft.time[0]
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
@@ -55,6 +57,10 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
         weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
         moved = origin[frames, j] == Origin.MEASURED
         origin[np.array(frames)[moved], j] = Origin.CORRECTED
+    _, toes = ankles_and_toes(skeleton)
+    raised = (positions - draft.positions)[:, toes, 1] > _RAISED
+    draft.stands = draft.stands & ~raised
+    draft.contacts = draft.contacts & ~raised.repeat(2, axis=1)
     draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
 
 
