@@ -13,7 +13,7 @@ from kinefilter.characters.arrays import Array, Flags
 from .cleaner import Cleaner
 from .config import CleanConfig
 from .correct import Corrector
-from .stages import Physics
+from .physics.stage import Physics
 from .target.upright import Turn
 
 

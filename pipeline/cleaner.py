@@ -29,6 +29,7 @@ from .edits import Edit, edited, read_edits
 from .failures import Failure, describe_failures, find_displaced
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
+from .physics.stage import Physics
 from .progress import Progress, silent
 from .reconstruct import Reconstruct
 from .stages import (
@@ -36,7 +37,6 @@ from .stages import (
     Failures,
     MeasureBody,
     MeasureCorrectedBody,
-    Physics,
     Score,
     Stage,
     Standardize,

@@ -7,16 +7,16 @@ live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, Skeleton, State, Tracking
+from kinefilter.characters import Body, Origin, Skeleton, State
 from kinefilter.characters.arrays import Array, Flags, chunks
-from kinefilter.retarget import BoneLengths, HeadingFrame, Standardizer
+from kinefilter.retarget import BoneLengths, Standardizer
 
 from .config import CleanConfig
 from .correct import Correction, Corrector, Hold, Observation
@@ -30,14 +30,8 @@ from .failures import (
     without_impossible_bodies,
 )
 from .methods import SCORERS, load
-from .physics import PhysicsFilter, PhysicsResult
-from .physics.grasp import seen_hands
-from .physics.pulled_character import PulledCharacter
-from .physics.together import Performance, run_together, stamps_of
-from .physics.world import World
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference
-from .target.floor import find_placement
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
 CHUNK = 4096
@@ -309,105 +303,3 @@ class Correct(Stage):
             scores = usual(scores, draft.hidden, draft.state == State.TRACKED)
         context = draft.time, body.lengths, draft.heading.origin
         return Observation(draft.standard, scores[0], scores[1], *context)
-
-
-class Physics(Stage):
-    """Pulls a simulated character through the motion with bounded forces."""
-
-    name = "physics"
-    continues = True
-    in_parts = False
-
-    def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
-        self._scene, self._tracking = config.scene, tracking
-        self.local = config.scene is None  # props stay where the motion left them
-        self._body: Body | None = None
-
-    def start(self, body: Body) -> None:
-        """Reset for a new motion, whose first frame is placed at the scene's origin."""
-        if self._body is not body:
-            self._body = body
-            self.character = PulledCharacter(body, self._tracking, scene=self._scene)
-        self._started = False
-
-    def step(self, draft: Draft) -> None:
-        """Pull the character to the next frame, in the frame of the scene if any."""
-        first, self._started = not self._started, True
-        if first:
-            self._place = self._placement(draft.positions[None], draft.skeleton)
-        positions, rotations = _placed(draft, self._place)
-        if first or draft.appears:
-            # Props stay where they are, except for the first frame.
-            self.character.start(positions, rotations, reset_props=first)
-        else:
-            draft.reset = not self.character.step(
-                positions,
-                rotations,
-                draft.elapsed,
-                stands=draft.stands,
-                seen=seen_hands(draft.reliability, draft.skeleton),
-            )
-        draft.positions = self.character.positions
-        draft.rotations = self.character.rotations
-        draft.external_force = self.character.external_force
-
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Pull the character through a take."""
-        place = self._placement(draft.positions, draft.skeleton)
-        result = PhysicsFilter(draft.body, self._tracking, scene=self._scene).run(
-            draft.time,
-            *_placed(draft, place),
-            stands=draft.stands,
-            seen=seen_hands(draft.reliability, draft.skeleton),
-            frames=progress(self.name, len(draft.time)),
-        )
-        self._finish(draft, result, place)
-
-    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
-        """Pull the characters of people of one recording through it in one world.
-
-        The scene is where it is for the person who is seen in most frames. Everyone
-        stands on the floor that was found for them.
-        """
-        main = max(drafts, key=lambda draft: len(draft.time))
-        place = self._placement(main.positions, main.skeleton)
-        bodies = [draft.body for draft in drafts]
-        world = World(bodies, self._tracking, scene=self._scene)
-        people = [
-            Performance(
-                draft.time,
-                *_placed(draft, place),
-                draft.stands,
-                seen_hands(draft.reliability, draft.skeleton),
-            )
-            for draft in drafts
-        ]
-        results = run_together(
-            [PulledCharacter(body, self._tracking, world=world) for body in bodies],
-            people,
-            progress(self.name, len(stamps_of(people))),
-        )
-        for draft, result in zip(drafts, results, strict=True):
-            self._finish(draft, result, place)
-
-    @staticmethod
-    def _finish(
-        draft: Draft, result: PhysicsResult, place: HeadingFrame | None
-    ) -> None:
-        draft.positions, draft.rotations = result.positions, result.rotations
-        if place is not None:
-            draft.positions = place.restore(result.positions)
-            draft.rotations = place.restore_rotations(result.rotations)
-            draft.props = result.scene_props.props(place)
-        draft.trace = result.trace
-        draft.external_force = result.trace.external_force
-
-    def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
-        return None if self._scene is None else find_placement(positions, skeleton)
-
-
-def _placed(draft: Draft, place: HeadingFrame | None) -> tuple[Array, Array]:
-    """Return positions and rotations in the scene's frame."""
-    if place is None:
-        return draft.positions, draft.rotations
-    return place.remove(draft.positions), place.remove_rotations(draft.rotations)

@@ -20,10 +20,11 @@ from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.physics.stage import Physics
 from kinefilter.pipeline.physics.world import steps_in
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.reliability import measure_body
-from kinefilter.pipeline.stages import Physics, Stage
+from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.workers import cores, workers
 from kinefilter.scenes import SAMPLE
 

@@ -33,15 +33,13 @@ from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .grasp import Grasp
 from .momentum import Momentum
 from .moves import Move, MovePlanner
+from .standing_feet import StandingFeet
 from .stuck_limbs import StuckLimbs
 from .world import World
 
 _LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
-_LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
-_REACTION_TIME = 0.02  # s in which feet press as hard as the pulls carry. A guess.
-_HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, landing
 
 
 def check_target(positions: Array, rotations: Array) -> None:
@@ -115,7 +113,8 @@ class PulledCharacter:
             self.data, self._sites, joint_masses(body), root, self._pulls
         )
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
-        self._soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
+        soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
+        self.feet = StandingFeet(self.data, soles, self._weight)
         self._joint_damping = model.dof_damping[self._speeds].copy()
         self.compliance = None
         if isinstance(tracking, GameTracking):
@@ -136,8 +135,7 @@ class PulledCharacter:
         self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity = np.zeros_like(self._target[0])
-        self._load, self._pressing = np.zeros(2), np.zeros(2)
-        self._carried = self._lifting = self._weight
+        self.feet.start()
         self.momentum.start()
         self._external = np.zeros(3)
         self._limbs.start()
@@ -222,11 +220,9 @@ class PulledCharacter:
         """Apply the forces of a move that do not change during it."""
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
-        self._began = self._carried, self._lifting
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
-        self._load_feet(move, stands if carries else None)
-        self._pressing = np.zeros(2)
+        self.feet.begin(move, stands if carries else None)
         self._pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
@@ -244,8 +240,7 @@ class PulledCharacter:
     def begin_again(self) -> None:
         """Forget what it felt since ``begin``, because the step is taken again."""
         self.momentum.forget()
-        self._pressing = np.zeros(2)
-        self._carried, self._lifting = self._began
+        self.feet.begin_again()
         if self.compliance is not None:
             self.compliance.forget_hits()
 
@@ -263,7 +258,7 @@ class PulledCharacter:
     def feel(self) -> None:
         """Note what the last substep did to the character."""
         self.momentum.add()
-        self._lifting = self.momentum.lifting
+        self.feet.lifting = self.momentum.lifting
         if self.compliance is not None and self._movable:
             self.compliance.hit_by_props(
                 self.model, self.data, self.joint_of, self._props
@@ -280,7 +275,7 @@ class PulledCharacter:
         self._place(*target)
         self.grasp.drop()
         self.momentum.start()
-        self._carried = self._lifting = self._weight
+        self.feet.settle()
         self._external[:] = 0.0
 
     @property
@@ -313,27 +308,6 @@ class PulledCharacter:
         scale = FALLEN_DAMPING if gives.fallen else 1.0
         self.model.dof_damping[self._speeds] = self._joint_damping * scale
         return gives.target(positions, rotations, dt)
-
-    def _load_feet(self, move: Move, stands: Flags | None) -> None:
-        """Shift the body's weight toward the feet that are to bear it."""
-        wanted = np.zeros(2) if stands is None else stands.astype(float)
-        if wanted.all():
-            wanted = np.array([move.left_share, 1.0 - move.left_share])
-        most = move.duration / _LOADING_TIME
-        loads = self._load + np.clip(wanted - self._load, -most, most)
-        self._load = np.where(wanted > 0.0, loads, 0.0)
-
-    def press_feet(self, dt: float) -> None:
-        """Press loaded feet on the floor with what the pulls carry of the body.
-
-        Muscles act between the body and the feet, so that only the floor carries it.
-        """
-        share = min(dt / _REACTION_TIME, 1.0)
-        self._carried += share * (self._lifting - self._carried)
-        most = _HARDEST_STEP * self._weight
-        pressing = self._load * min(max(self._carried, 0.0), most)
-        self.data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
-        self._pressing = pressing
 
     @property
     def is_lost(self) -> bool:

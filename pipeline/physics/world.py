@@ -156,7 +156,7 @@ class World:
                 character.aim(share)
             for _ in range(substeps):
                 for character in characters:
-                    character.press_feet(model.opt.timestep)
+                    character.feet.press(model.opt.timestep)
                 mujoco.mj_step(model, data)
                 for character in characters:
                     character.feel()

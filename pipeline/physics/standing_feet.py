@@ -1,0 +1,63 @@
+"""Feet that bear the body: they press the floor with what the pulls carry of it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from kinefilter.characters.arrays import Flags, Indices
+
+from .moves import Move
+
+_LOADING_TIME = 0.2  # s from a foot's first contact to its bearing the body
+_REACTION_TIME = 0.02  # s in which feet press as hard as the pulls carry. A guess.
+_HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, landing
+
+
+class StandingFeet:
+    """Presses planted feet, bodies ``soles`` (2,) of the model, on the floor.
+
+    Muscles act between the body and the feet, so that only the floor carries it.
+    ``weight`` is that of the body [N]; ``lifting`` is the upward force of all pulls in
+    the last substep [N], to be set after each.
+    """
+
+    def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:
+        self._data, self._soles, self._weight = data, soles, weight
+        self.start()
+
+    def start(self) -> None:
+        """Reset the state to feet that bear nothing yet."""
+        self._load, self._pressing = np.zeros(2), np.zeros(2)
+        self.settle()
+
+    def settle(self) -> None:
+        """Assume that the pulls carry the body at rest."""
+        self._carried = self.lifting = self._weight
+
+    def begin(self, move: Move, stands: Flags | None) -> None:
+        """Shift the weight toward the feet that stand (2,); none if that is None.
+
+        No force may be applied to the feet yet.
+        """
+        wanted = np.zeros(2) if stands is None else stands.astype(float)
+        if wanted.all():
+            wanted = np.array([move.left_share, 1.0 - move.left_share])
+        most = move.duration / _LOADING_TIME
+        loads = self._load + np.clip(wanted - self._load, -most, most)
+        self._load, self._pressing = np.where(wanted > 0.0, loads, 0.0), np.zeros(2)
+        self._began = self._carried, self.lifting
+
+    def begin_again(self) -> None:
+        """Return to the state after ``begin``, because the step is taken again."""
+        self._pressing = np.zeros(2)
+        self._carried, self.lifting = self._began
+
+    def press(self, dt: float) -> None:
+        """Apply the forces of the next substep of ``dt`` [s]."""
+        share = min(dt / _REACTION_TIME, 1.0)
+        self._carried += share * (self.lifting - self._carried)
+        carried = min(max(self._carried, 0.0), _HARDEST_STEP * self._weight)
+        pressing = self._load * carried
+        self._data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
+        self._pressing = pressing
