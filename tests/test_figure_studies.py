@@ -11,10 +11,12 @@ from real_data import DATA, paired, recorded
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.studies import study_takes as takes
 from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
 from kinefilter.pipeline.lab.studies.detection import _near
 from kinefilter.pipeline.lab.studies.doubtful_limbs import _means, _raw
+from kinefilter.pipeline.lab.studies.held_box import _figures
 from kinefilter.pipeline.lab.studies.method_comparison import _study
 from kinefilter.pipeline.lab.studies.study import Options
 
@@ -30,6 +32,14 @@ def test_a_clip_is_near_unless_a_joint_is_far_off_for_long(
     away[20 : 20 + frames, WRIST, 1] += off
     moved = replace(pair.take, positions=away + np.array([3.0, 0.0, 1.0]))
     assert _near(replace(pair, take=moved)) is bool(near)
+
+
+def test_a_box_rises_only_if_it_is_held() -> None:
+    pair = simulate("box", "lift_box", seed=3)
+    take = replace(pair.take, positions=pair.truth)
+    held, left = (_figures(take, (0.0, 0.25), holds=h)["peak"] for h in (True, False))
+    assert held > 0.6
+    assert left < 0.3
 
 
 def test_errors_are_means_over_people_and_the_worst_person_counts_too() -> None:

@@ -11,7 +11,7 @@ from kinefilter import CleanConfig, clean
 from kinefilter.characters import Take
 from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline.lab.simulation import simulate, truth_of
-from kinefilter.pipeline.physics import pulled_character
+from kinefilter.pipeline.physics import world
 
 from .study import Cell, Options, Panel, Series, Study
 
@@ -63,7 +63,7 @@ def held_box(options: Options, *, count: int = 20) -> Study:
 
 
 def _figures(take: Take, end: tuple[float, float], *, holds: bool) -> dict[str, float]:
-    loose = mock.patch.object(pulled_character, "add_ties")
+    loose = mock.patch.object(world, "add_ties")
     with nullcontext() if holds else loose:
         result = clean(take, CleanConfig(scene="box"))
     (box,) = (prop for prop in result.clip.props if prop.name == "box")
