@@ -9,11 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.lab.limb_lessons import (
     Lesson,
     Recording,
     joined,
+    joint_error,
     read_lessons,
     relative_errors,
     train_prior,
@@ -110,6 +112,20 @@ def test_what_is_hidden_as_well_does_not_count() -> None:
     seen.positions[inside, list(limbs(KINECT_V1)[2][1:])] += 0.3
     np.testing.assert_allclose(told(arms), before, atol=1e-9)
     assert np.abs(told(hidden(seen, 0)) - alone).max() > 0.1
+
+
+def test_the_error_of_joints_has_the_gradient_of_its_differences() -> None:
+    rng, lengths = np.random.default_rng(0), np.array([0.28, 0.25])
+    base, truth = unit(rng.normal(size=(2, 5, 2, 3)))
+    outputs, step = rng.normal(scale=0.3, size=(5, 6)), 1e-6
+    error, gradient = joint_error(outputs, base, truth, lengths)
+    for k, change in enumerate(step * np.eye(6)):
+        more, _ = joint_error(outputs + change, base, truth, lengths)
+        less, _ = joint_error(outputs - change, base, truth, lengths)
+        np.testing.assert_allclose(
+            gradient[:, k], (more - less) / (2 * step), atol=1e-7
+        )
+    assert (joint_error(np.zeros((5, 6)), truth, truth, lengths)[0] < error).all()
 
 
 def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:

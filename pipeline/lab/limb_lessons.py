@@ -15,14 +15,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.neural_network import MLPRegressor
 
-from kinefilter.characters import KINECT_V1, State, Take
+from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
@@ -34,6 +36,7 @@ from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
     OUTPUT,
+    PARTS,
     MotionPrior,
     Network,
     inputs_of,
@@ -59,11 +62,14 @@ _VISIBLE = 0.97  # share of a stretch's frames in which each segment must be vis
 _OPPOSITE_VISIBLE = 0.8  # share of the stretches with a visible opposite limb
 _JITTER = 0.008  # m, added to mocap, which jitters less than a sensor. A guess.
 _MOCAP_RATE = 30.0  # Hz
-# Chosen on one of six people, thirds of their movements, and other recordings.
-_LAYERS, _PENALTY, _EPOCHS, _BATCH = (128, 64), 1.0, 12, 512
-_NOISE = 0.5  # standard deviations added to each input, against overfitting
+# Chosen on s02, s03, s04, two thirds of their movements, and a quarter of the others.
+_LAYERS, _PENALTY, _EPOCHS, _BATCH = (128, 64), 0.25, 20, 512
+_AVERAGED = 10  # last epochs, whose weights are averaged
+_NOISE = 0.2  # standard deviations added to each input, against overfitting
 _SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 """Factors of the networks' outputs, chosen on unseen movements."""
+_SMALL = 0.02  # m: smaller errors count as their squares, as in the pseudo-Huber loss
+_LARGE = 0.06  # m: error for which the loss is about one; the penalty is relative to it
 _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
 
 
@@ -78,6 +84,7 @@ class Rows(NamedTuple):
     """True directions of the segments, shape (N, H, 3)."""
 
 
+Floats = NDArray[np.floating[Any]]
 Lessons = dict[str, Rows]
 """Training data by the name of the network."""
 
@@ -195,22 +202,60 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     mean = np.mean(rows.inputs, axis=0, where=known, dtype=float)
     spread = np.std(rows.inputs, axis=0, where=known, dtype=float) + _SPREAD_FLOOR
     inputs = np.where(known, (rows.inputs - mean) / spread, 0.0).astype(np.float32)
-    change = (rows.truth - rows.base).reshape(len(inputs), -1) / OUTPUT
+    part = name.partition("_")[0]
+    body = standard_body(KINECT_V1)
+    limb = [body.skeleton.index(joint + SIDES[0]) for joint in PARTS[part]]
+    lengths = body.lengths[limb].astype(np.float32)
+    size = min(_BATCH, len(inputs))
     network = MLPRegressor(
-        hidden_layer_sizes=_LAYERS,
-        alpha=_PENALTY,
-        batch_size=min(_BATCH, len(inputs)),
-        random_state=0,
+        hidden_layer_sizes=_LAYERS, alpha=_PENALTY, batch_size=size, random_state=0
     )
-    rng = np.random.default_rng(0)
-    for _ in range(_EPOCHS):
-        noise = rng.normal(scale=_NOISE, size=inputs.shape).astype(np.float32)
-        network.partial_fit(inputs + noise, change)
-    layers = list(zip(network.coefs_, network.intercepts_, strict=True))
+    network.partial_fit(inputs[:size], np.zeros((size, 3 * len(limb)), np.float32))
+    rng, kept = np.random.default_rng(0), []
+    for epoch in range(_EPOCHS):
+        order = rng.permutation(len(inputs))
+        for batch in order[: len(order) // size * size].reshape(-1, size):
+            noise = rng.standard_normal((size, inputs.shape[1]), np.float32)
+            given = inputs[batch] + _NOISE * noise
+            outputs = network.predict(given)
+            # The library knows squared errors only, of which the gradient is outputs -
+            # targets: with these targets it is that of the joints' error.
+            _, gradient = joint_error(
+                outputs, rows.base[batch], rows.truth[batch], lengths
+            )
+            network.partial_fit(given, outputs - gradient)
+        if epoch >= _EPOCHS - _AVERAGED:
+            arrays = (*network.coefs_, *network.intercepts_)
+            kept.append([array.copy() for array in arrays])
+    averaged = [np.mean(arrays, axis=0) for arrays in zip(*kept, strict=True)]
+    count = len(_LAYERS) + 1
+    layers = list(zip(averaged[:count], averaged[count:], strict=True))
     layers[0] = (layers[0][0] / spread[:, None], layers[0][1])
-    factor = _SHRINKAGE[name.partition("_")[0]]
+    factor = _SHRINKAGE[part]
     layers[-1] = (factor * layers[-1][0], factor * layers[-1][1])
     return mean, layers
+
+
+def joint_error(
+    outputs: Floats, base: Floats, truth: Floats, lengths: Floats
+) -> tuple[Floats, Floats]:
+    """Return the error of hidden joints and its gradient for a network's outputs.
+
+    The error, shape (N,), is the mean pseudo-Huber loss of the joints' distances to
+    where segments of ``lengths`` [m], shape (H,), put them with the true directions,
+    each on the one before. Outputs and gradient have shape (N, 3 H).
+    """
+    moved = base + OUTPUT * outputs.reshape(base.shape)
+    size = np.linalg.norm(moved, axis=-1, keepdims=True)
+    directions = moved / size
+    away = np.cumsum(lengths[:, None] * (directions - truth), axis=1)
+    loss = np.sqrt(np.sum(away**2, axis=-1, keepdims=True) + _SMALL**2)
+    scale = _LARGE * len(lengths)
+    # A segment moves its own end and all ends after it.
+    turned = lengths[:, None] * np.cumsum((away / loss)[:, ::-1], axis=1)[:, ::-1]
+    along = np.sum(turned * directions, axis=-1, keepdims=True) * directions
+    gradient = OUTPUT * (turned - along) / size / scale
+    return loss.sum(axis=(1, 2)) / scale, gradient.reshape(outputs.shape)
 
 
 def recordings_in(file: Path) -> Iterator[Recording]:
