@@ -48,7 +48,7 @@ def test_joints_are_where_the_rig_has_them_with_z_up(
     # From a joint to its child it is always the same way in its own axes.
     turns, places = found["global_joint_orientations"], found["global_joint_positions"]
     for n, parent in enumerate(target.rest.parents[2:], start=2):
-        if n in target.followed:
+        if n in target.followed:  # an IK bone moves against its parent
             continue
         own = Rotation.from_quat(turns[:, parent], scalar_first=True).inv()
         bone = own.apply(places[:, n] - places[:, parent])
