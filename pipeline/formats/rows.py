@@ -40,31 +40,21 @@ class RowReader:
     def read(
         self, lines: Iterable[str], first_row: int, most: float = math.inf
     ) -> Block:
-        """Read all rows; stops early, after a block, at more than ``most`` rows.
+        """Read all rows in order, without blank lines.
 
-        Raises InputError as ``blocks``.
+        ``first_row`` is the number of the first line, counted from 1. Stops early, some
+        time after ``most`` rows. Raises InputError for a wrong number of columns, text,
+        or an infinite number.
         """
-        blocks, count = [Block(np.empty(0, int), np.empty((0, len(self.columns))))], 0
-        for block in self.blocks(lines, first_row):
-            blocks.append(block)
-            count += len(block.rows)
-            if count > most:
-                break
+        numbered, count = enumerate(lines, start=first_row), 0
+        blocks = [Block(np.empty(0, int), np.empty((0, len(self.columns))))]
+        while count <= most and (chunk := list(islice(numbered, _BLOCK_LINES))):
+            if filled := {row: line.strip() for row, line in chunk if line.strip()}:
+                texts = [self.normalize(line) for line in filled.values()]
+                blocks.append(self._block(np.array(list(filled)), texts))
+                count += len(filled)
         rows = np.concatenate([block.rows for block in blocks])
         return Block(rows, np.concatenate([block.values for block in blocks]))
-
-    def blocks(self, lines: Iterable[str], first_row: int) -> Iterator[Block]:
-        """Yield the rows in order, without blank lines.
-
-        ``first_row`` is the number of the first line, counted from 1. Raises InputError
-        for a wrong number of columns, text, or an infinite number.
-        """
-        numbered = enumerate(lines, start=first_row)
-        while chunk := list(islice(numbered, _BLOCK_LINES)):
-            filled = {row: line.strip() for row, line in chunk if line.strip()}
-            if filled:
-                texts = [self.normalize(line) for line in filled.values()]
-                yield self._block(np.array(list(filled)), texts)
 
     def _block(self, rows: Indices, texts: list[str]) -> Block:
         try:

@@ -23,7 +23,7 @@ from kinefilter.characters import (
     State,
     Take,
 )
-from kinefilter.characters.arrays import Array, Codes, Flags, Indices, chunks
+from kinefilter.characters.arrays import Array, Codes, Flags, chunks
 from kinefilter.characters.motion import check_order
 
 from .files import AnyPath, beginning, new_text, open_text
@@ -192,24 +192,18 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
         if not layout.has_header:
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
-        blocks, count, notes = [], 0, list[str]()
+        first, notes = row + layout.has_header, list[str]()
         if source.endswith(PART):
-            lines = _without_torn_end(
-                lines, row + layout.has_header, layout.columns, notes
-            )
-        for block in reader.blocks(lines, row + layout.has_header):
-            blocks.append(_frames(block, layout, reader))
-            count += len(block.rows)
-            if count > MOST_FRAMES:
-                break
-    check_length(count, source)
-    rows, time, positions, state = map(np.concatenate, zip(*blocks, strict=True))
+            lines = _without_torn_end(lines, first, layout.columns, notes)
+        block = reader.read(lines, first, MOST_FRAMES)
+    check_length(len(block.rows), source)
+    time, positions, state = _frames(block, layout, reader)
     if "time" not in layout.columns:
         time = np.arange(len(time)) * layout.seconds
     elif not layout.has_header:
         # The file has clock readings: subtract the first before scaling rounds them.
         time = (time - time[0]) * layout.seconds
-    check_order(time, lambda k: f"{source}: row {rows[k]}, column time", "rows")
+    check_order(time, lambda k: f"{source}: row {block.rows[k]}, column time", "rows")
     if layout.weighted and state.max() == State.INFERRED:
         # Not states but the w of homogeneous points, 1 for every joint present.
         state = np.where(state > 0, State.TRACKED, State.NOT_TRACKED).astype(np.uint8)
@@ -236,8 +230,8 @@ read_msrc_12 = partial(_read, lambda *_: _MSRC)
 
 def _frames(
     block: Block, layout: _Layout, reader: RowReader
-) -> tuple[Indices, Array, Array, Codes]:
-    """Return row numbers, times, positions [m] (R, J, 3) and states (R, J)."""
+) -> tuple[Array, Array, Codes]:
+    """Return times, positions [m] (R, J, 3) and states (R, J)."""
     index = {column: i for i, column in enumerate(layout.columns)}
     # A last column stands for those that the file does not have.
     values = np.pad(block.values, ((0, 0), (0, 1)), constant_values=np.nan)
@@ -256,7 +250,7 @@ def _frames(
         reader.refuse(block, column, np.isnan(time), empty)
         late = "is {:.3g}, expected a time; correct or delete the row"
         reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    return block.rows, time, *mark_missing(joints[..., :3], state.astype(np.uint8))
+    return time, *mark_missing(joints[..., :3], state.astype(np.uint8))
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:
