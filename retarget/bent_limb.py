@@ -37,6 +37,17 @@ def bent_limb(
     return start + along * ahead + beside * across, start + reached * ahead
 
 
+def shortage(leg: Array, reach: ArrayLike, most: float = np.inf) -> Array:
+    """Return how far hips are too high above ankles [m], at most ``most``, shape (...).
+
+    ``leg`` (..., 3) points from the ankle to the hip [m], y up; ``reach`` is the length
+    of the straight leg [m].
+    """
+    level = np.sum(leg[..., [0, 2]] ** 2, axis=-1)
+    height = np.sqrt(np.maximum(np.square(reach) - level, 0.0))
+    return np.clip(leg[..., 1] - height, 0.0, most)
+
+
 def rejection(bone: Array, line: Array) -> Array:
     """Return the part of vectors (..., 3) that is perpendicular to lines (..., 3)."""
     share = np.sum(bone * line, axis=-1) / np.maximum(np.sum(line**2, axis=-1), 1e-12)

@@ -19,7 +19,7 @@ from kinefilter.characters.rotations import (
     unit,
 )
 
-from .bent_limb import bent_limb, rejection
+from .bent_limb import bent_limb, rejection, shortage
 from .heading_frame import floor_frame
 from .stance import smooth_step
 
@@ -74,8 +74,9 @@ def looped(clip: Clip) -> Clip:
         sole = goal[:, 0] - goal[:, 1]
         raised = goal[:, 1] + lengths[3] * unit(sole)
         goal[:, 0] = np.where((moved & ~heel)[:, None], raised, goal[:, 0])
-        short = _shortage(posed[:, leg[0]] - goal[:, 0], float(lengths[1:3].sum()))
-        sinking = np.maximum(sinking, moved * short)
+        reach = float(lengths[1:3].sum())
+        hip = posed[:, leg[0]] - goal[:, 0]
+        sinking = np.maximum(sinking, moved * shortage(hip, reach, _DEEPEST * reach))
     root[:, 1] -= sinking
     posed[..., 1] -= sinking[:, None]
     for leg, goal in zip(legs, goals, strict=True):
@@ -242,13 +243,6 @@ def _joined(time: Array, moves: Array, planted: Flags) -> Array:
     length = np.where(after > before, time[after] - time[before], 1.0)
     share = smooth_step((time - time[before]) / np.maximum(length, 1e-9))[:, None]
     return np.asarray((1.0 - share) * moves[before] + share * moves[after])
-
-
-def _shortage(leg: Array, reach: float) -> Array:
-    """Return how far [m] (T,) hips are too high over their ankles (T, 3)."""
-    level = np.hypot(leg[:, 0], leg[:, 2])
-    height = np.sqrt(np.maximum(reach**2 - level**2, 0.0))
-    return np.clip(leg[:, 1] - height, 0.0, _DEEPEST * reach)
 
 
 def _bend(

@@ -52,8 +52,7 @@ class Neck(StraightChains):
         ``weights`` (..., 1) are those of ``faces``, 1 where the face is seen.
         """
         left, ahead = np.moveaxis(weights[..., None] * faces, -1, 0)
-        angle = np.arctan2(left, ahead + _AHEAD)
-        return np.asarray(np.sign(angle) * softened(np.abs(angle), *_TURN))
+        return softened(np.arctan2(left, ahead + _AHEAD), *_TURN)
 
     def posed(
         self,

@@ -73,8 +73,7 @@ class Palms(StraightChains):
         counts, as then the tracker has mostly lost it.
         """
         toward, across = np.moveaxis(weights[..., None] * thumbs, -1, 0)
-        angle = np.arctan2(across, np.abs(toward + _UNTWISTED))
-        return np.asarray(np.sign(angle) * softened(np.abs(angle), *_TWIST))
+        return softened(np.arctan2(across, np.abs(toward + _UNTWISTED)), *_TWIST)
 
     def posed(
         self, positions: Array, rotations: Array, hands: Array, twist: Array

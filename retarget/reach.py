@@ -8,7 +8,7 @@ from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, multiply, rotate
 
-from .bent_limb import bent_limb
+from .bent_limb import bent_limb, shortage
 
 _STRETCHED = 0.97  # of an arm's length: beyond, the trunk moves. A guess.
 _FARTHEST = 0.5  # m by which the shoulders move at most. A guess.
@@ -41,7 +41,10 @@ class Reach:
         moved, turned = positions.copy(), rotations.copy()
         wrists = positions[self._arms[:, 2]] + moves
         self._bow(moved, self._lean(positions, wrists))
-        moved[self._upper, 1] -= self._too_high(moved, positions)
+        # The hips sink so that the feet can stay.
+        bones = np.linalg.norm(np.diff(positions[self._legs], axis=1), axis=-1)
+        legs = moved[self._legs[:, 0]] - positions[self._legs[:, 2]]
+        moved[self._upper, 1] -= shortage(legs, bones.sum(axis=-1)).max()
         for leg in self._legs:
             _bend(moved, positions, leg, positions[leg[2]])
         for arm, hand, wrist in zip(self._arms, self._beyond, wrists, strict=True):
@@ -59,14 +62,6 @@ class Reach:
         turn = between(spine, spine + lean)
         moved[self._trunk] = root + rotate(turn, moved[self._trunk] - root)
         moved[self._upper] += _at_most(_DEEPEST, spine + lean - rotate(turn, spine))
-
-    def _too_high(self, moved: Array, positions: Array) -> float:
-        """Return how much lower the hips must be for the feet to stay [m]."""
-        bones = np.linalg.norm(np.diff(positions[self._legs], axis=1), axis=-1)
-        legs = moved[self._legs[:, 0]] - positions[self._legs[:, 2]]
-        rest = bones.sum(axis=-1) ** 2 - np.sum(legs[:, [0, 2]] ** 2, axis=-1)
-        highest = np.sqrt(np.maximum(rest, 0.0))
-        return float((legs[:, 1] - highest).max(initial=0.0))
 
     def _lean(self, positions: Array, wrists: Array) -> Array:
         """Return the move of the shoulders [m] that lets the arms reach, (3,)."""

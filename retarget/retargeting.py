@@ -26,7 +26,7 @@ from kinefilter.characters.rotations import (
     slerp,
 )
 
-from .bent_limb import bent_limb, rejection
+from .bent_limb import bent_limb, rejection, shortage
 from .heading_frame import HeadingFrame, floor_frame
 from .rig_map import BEYOND, SIDES
 from .stance import holding_moves, near_stance, smooth_step
@@ -83,7 +83,9 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     sinking = np.zeros(len(clip))
     for side, goal in zip(SIDES, goals, strict=True):
         share = motion.plant(side, goal)
-        sinking = np.maximum(sinking, share * motion.shortage(side, goal))
+        leg = motion.positions[:, rig.joint(f"{side} thigh")] - goal
+        short = shortage(leg, rig.limb(side, *_LEG).sum())
+        sinking = np.maximum(sinking, share * short)
     motion.positions[..., 1] -= sinking[:, None]
     hips = motion.positions[:, rig.joint("pelvis")]
     for side, goal in zip(SIDES, goals, strict=True):
@@ -221,14 +223,6 @@ class _Motion:
         theirs = rotate(inverse(heading(self.rig)), ours)
         sole = self._scale * self.clip.body.radii[foot]
         return np.asarray(theirs * _LEVEL + (sole - self._ankle_height(side)) * _UP)
-
-    def shortage(self, side: str, goal: Array) -> Array:
-        """Return how far the hips are too high for a leg [m], shape (T,)."""
-        leg = self.positions[:, self.rig.joint(f"{side} thigh")] - goal
-        reach = self.rig.limb(side, *_LEG).sum()
-        level = np.sum((leg * _LEVEL) ** 2, axis=1)
-        height = np.sqrt(np.maximum(reach**2 - level, 0.0))
-        return np.asarray(np.maximum(leg[:, 1] - height, 0.0))
 
     def bend(self, side: str, limb: _Limb, goal: Array) -> None:
         """Turn the two bones of a limb so that it ends at a goal [m], shape (T, 3)."""

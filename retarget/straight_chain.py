@@ -82,7 +82,10 @@ class StraightChains:
 
 
 def softened(angle: Array, free: float, most: float) -> Array:
-    """Return angles [rad] that stay up to ``free`` and never reach ``most``."""
-    room = most - free
-    less = free + room * np.tanh((angle - free) / room)
-    return np.where(angle > free, less, angle)
+    """Return angles [rad] that stay up to ``free`` and never reach ``most``.
+
+    Negative ones are bounded likewise.
+    """
+    room, size = most - free, np.abs(angle)
+    less = free + room * np.tanh((size - free) / room)
+    return np.where(size > free, np.sign(angle) * less, angle)

@@ -19,7 +19,8 @@ from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
-from kinefilter.retarget.looping import _shortage, looped, repeated
+from kinefilter.retarget.bent_limb import shortage
+from kinefilter.retarget.looping import _DEEPEST, looped, repeated
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]
@@ -141,7 +142,8 @@ def test_feet_that_never_step_stay_where_they_are() -> None:
 def test_hips_sink_by_what_legs_are_too_short() -> None:
     """A right triangle: a leg of 0.9 m that ends 0.54 m aside is 0.72 m high."""
     legs = np.array([[0.54, 0.75, 0.0], [0.0, 0.7, 0.54], [0.0, 2.0, 0.0]])
-    np.testing.assert_allclose(_shortage(legs, 0.9), [0.03, 0.0, 0.09])
+    short = shortage(legs, 0.9, _DEEPEST * 0.9)
+    np.testing.assert_allclose(short, [0.03, 0.0, 0.09])
 
 
 def test_other_feet_at_the_end_are_refused_saying_where_to_end() -> None:
