@@ -18,6 +18,7 @@ import numpy as np
 
 from .arrays import Array, as_number, check_arrays, freeze, read_only
 from .errors import InputError
+from .rotations import unit
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
 GRAVITY = 9.81
@@ -131,9 +132,9 @@ def _check_segments(body: Body) -> None:
 
 def unit_hint(size: float) -> str:
     """Return advice for a person whose size is implausible in meters."""
-    for unit, per_meter in _UNITS.items():
+    for name, per_meter in _UNITS.items():
         if _PEOPLE[0] < size / per_meter < _PEOPLE[1]:
-            return f"they look like {unit}: divide the positions by {per_meter:g}"
+            return f"they look like {name}: divide the positions by {per_meter:g}"
     return "are the positions in meters?"
 
 
@@ -209,9 +210,7 @@ def standard_body(
     height = _checked_size("height", height)
     if mass is None:
         mass = _BODY_MASS_INDEX * height**2
-    directions = np.array([row[2] for row in rows])
-    norms = np.linalg.norm(directions, axis=1, keepdims=True)
-    directions /= np.where(norms > 0, norms, 1.0)
+    directions = unit(np.array([row[2] for row in rows]))
     lengths = np.array([row[0] for row in rows]) * height
     return Body(skeleton, height, mass, lengths, directions)
 

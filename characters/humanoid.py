@@ -28,10 +28,10 @@ MOST_CHARACTERS = 16
 """In one model: each needs an actuator group and a collision bit of its own."""
 
 # A time constant of two steps, the stiffest that MuJoCo allows, and almost rigid.
-_HARD = ([2.0 / 240.0, 1.0], [0.95, 0.999, 0.001, 0.5, 2.0])
+_HARD = {"solref": [2.0 / 240.0, 1.0], "solimp": [0.95, 0.999, 0.001, 0.5, 2.0]}
 # Flesh yields by some centimeters, and so must capsules where a tracker lets arms touch
 # the trunk: hard ones would shake. The time constant is a guess.
-_SOFT_FLESH = ([0.1, 1.0], [0.1, 0.9, 0.03, 0.5, 2.0])
+_SOFT_FLESH = {"solref": [0.1, 1.0], "solimp": [0.1, 0.9, 0.03, 0.5, 2.0]}
 # Thin capsules have almost no inertia about their axis, so a target that jumps spins
 # them up. The armature is the inertia of a hand about the wrist; the damping of tissue
 # stops a part within a tenth of a second. Without both, failed takes diverge.
@@ -54,7 +54,8 @@ FLOOR_BIT = 1 << 6
 """Collision bit of the floor where there are several characters."""
 _FIRST_BIT = 7  # of the characters' own
 # What people touch each other with: a trunk yields by some centimeters before it moves.
-_FIRM_FLESH = ([0.04, 1.0], [0.5, 0.98, 0.03, 0.5, 2.0])  # guesses
+# Guesses.
+_FIRM_FLESH = {"solref": [0.04, 1.0], "solimp": [0.5, 0.98, 0.03, 0.5, 2.0]}
 _UNSEEN = 4  # group of geoms that nothing draws
 
 
@@ -87,18 +88,8 @@ def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpe
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.timestep = 1.0 / 240.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    world = spec.worldbody
-    world.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
-        friction=[1.0, 0.005, 0.0001],
-        contype=1,
-        conaffinity=1,
-        solref=_HARD[0],
-        solimp=_HARD[1],
-    )
+    world, plane = spec.worldbody, mujoco.mjtGeom.mjGEOM_PLANE
+    world.add_geom(name="floor", type=plane, size=[0.0, 0.0, 1.0], **_HARD)
     world.add_site(name="world")
     _add_bodies(spec, body)
     _add_pulls(spec, body, tracking or Tracking())
@@ -157,12 +148,10 @@ def _add_firm_flesh(geom: mujoco.MjsGeom, number: int, count: int) -> None:
         pos=geom.pos,
         fromto=geom.fromto,
         mass=0.0,
-        condim=3,
         contype=own,
         conaffinity=everyone & ~own,
-        solref=_FIRM_FLESH[0],
-        solimp=_FIRM_FLESH[1],
         group=_UNSEEN,
+        **_FIRM_FLESH,
     )
 
 
@@ -175,10 +164,8 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         name, p = skeleton.joints[j], skeleton.parents[j]
         flesh: dict[str, Any] = {
             "size": [body.radii[j], 0.0, 0.0],
-            "condim": 3,
-            "solref": _SOFT_FLESH[0],
-            "solimp": _SOFT_FLESH[1],
             "solmix": 1e-3,  # the hardness of the floor or prop prevails
+            **_SOFT_FLESH,
         }
         if j == root:
             rest_root = to_mujoco(body.rest_positions[root])
@@ -192,8 +179,8 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
                 type=mujoco.mjtJoint.mjJNT_BALL,
                 armature=_ARMATURE,
                 range=[0.0, np.degrees(joint_range(name))],
-                solref_limit=_HARD[0],
-                solimp_limit=_HARD[1],
+                solref_limit=_HARD["solref"],
+                solimp_limit=_HARD["solimp"],
                 damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
             )
             shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE}
@@ -273,9 +260,7 @@ def _set_gains(
     """Make an actuator a critically damped PD controller with a bounded output."""
     actuator.trntype = mujoco.mjtTrn.mjTRN_SITE
     actuator.group = PULLS
-    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = 1.0
     actuator.biasprm[1:3] = [-inertia * frequency**2, -2.0 * inertia * frequency]
     actuator.forcelimited = True
     actuator.forcerange = [-bound, bound]

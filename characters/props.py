@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -17,10 +18,13 @@ from .arrays import (
     freeze,
 )
 from .errors import InputError
+from .rotations import rotate
 
 if TYPE_CHECKING:
     import trimesh
 
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+"""Corners of a cube with edges of length 2, shape (8, 3)."""
 UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [[1.0], [1.0], [-1.0], [1.0]]
 """Homogeneous matrix (4, 4) that turns the z axis to y."""
 ShapeKind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
@@ -69,6 +73,11 @@ class Shape:
             return np.asarray(np.abs(self.points).max(axis=0))
         cap = float(self.size[0]) if self.kind == "capsule" else 0.0
         return np.asarray(self.size + np.array([0.0, cap, 0.0]))
+
+    @property
+    def corners(self) -> Array:
+        """Corners of that box in the prop's frame [m], shape (8, 3)."""
+        return self.position + rotate(self.rotation, CORNERS * self.half_extents)
 
     def surface(self) -> trimesh.Trimesh:
         """Return its surface [m] in the frame of its own axes."""

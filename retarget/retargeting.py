@@ -76,7 +76,8 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
     relative to limb length: the vectors from shoulder to wrist and from hip to ankle,
     divided by the length of the limb, are those of the clip. A planted foot
     (``clip.contacts``) is held still within 1.75 % of the leg's length, and where the
-    leg is too short, the hips sink. Ancestors of the pelvis follow it on the floor.
+    leg is too short, the hips sink. Ancestors of the pelvis follow it on the floor, and
+    IK bones are where the joints are that they follow.
     """
     motion = _Motion(clip, rig)
     goals = [motion.limb_end(side, _LEG) for side in SIDES]
@@ -93,7 +94,9 @@ def retarget(clip: Clip, rig: TargetRig) -> Retargeted:
         motion.bend(side, _ARM, motion.limb_end(side, _ARM))
     result = motion.posed(hips)
     _move_ancestors(rig, result)
-    _move_ik_bones(rig, result)
+    for bone, joint in rig.followed.items():
+        for values in result:
+            values[:, bone] = values[:, joint]
     return Retargeted(*map(read_only, result))
 
 
@@ -113,13 +116,6 @@ def _move_ancestors(rig: TargetRig, motion: Retargeted) -> None:
     below = rest.positions[led] - rest.positions[pelvis] * _LEVEL
     motion.positions[:, led] = frame.restore(np.tile(below, (len(frame.yaw), 1, 1)))
     motion.rotations[:, led] = about_y(frame.yaw)[:, None]
-
-
-def _move_ik_bones(rig: TargetRig, motion: Retargeted) -> None:
-    """Move IK bones along with the joints that they follow, in place."""
-    for n, joint in rig.followed.items():
-        motion.rotations[:, n] = motion.rotations[:, joint]
-        motion.positions[:, n] = motion.positions[:, joint]
 
 
 class _Motion:

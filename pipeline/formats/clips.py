@@ -215,7 +215,11 @@ def target_rig(rig: str, target: Path | None, body: Body) -> TargetRig:
     if suffix == ".bvh":
         return matched_rig(rig_map, _bvh_rest(target, rig_map, body), body)
     if suffix in USD_SUFFIXES:
-        return matched_rig(rig_map, _usd_rest(target), body)
+        arrays = read_usd("rest_arrays", target)
+        names, parents = (tuple(arrays[k].tolist()) for k in ("names", "parents"))
+        places, axes = arrays["places"], arrays["axes"]
+        rest = RestPose(names, parents, places, axes, source=str(target))
+        return matched_rig(rig_map, rest, body)
     raise InputError(f"--target {target}: expected .bvh, {', '.join(USD_SUFFIXES)}")
 
 
@@ -262,9 +266,3 @@ def _with_axes(rest: RestPose, offsets: Array, rig_map: RigMap, body: Body) -> R
         if parent >= 0:
             places[n] = places[parent] + rotate(axes[parent], offsets[n])
     return replace(rest, positions=places, axes=axes, lowest=None, axes_in_bvh=True)
-
-
-def _usd_rest(path: Path) -> RestPose:
-    rest = read_usd("rest_arrays", path)
-    names, parents = tuple(rest["names"].tolist()), tuple(rest["parents"].tolist())
-    return RestPose(names, parents, rest["places"], rest["axes"], source=str(path))

@@ -24,7 +24,7 @@ from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
 from kinefilter.characters.motion import frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
-from kinefilter.retarget.heading_frame import HeadingFrame, floor_frame
+from kinefilter.retarget.heading_frame import floor_frame
 from kinefilter.retarget.looping import looped
 
 from .recording import FRAMES_AT_ONCE, MOST_FRAMES
@@ -330,20 +330,17 @@ def with_root_motion(clip: Clip, travel: RootMotion) -> Clip:
     frame = floor_frame(clip.root, clip.rotations[:, clip.skeleton.root], left)
     if travel == "in-place":
         frame = frame.unturned
+    props = []
+    for prop in clip.props:
+        places = frame.remove(prop.positions[:, None])[:, 0]
+        turns = frame.remove_rotations(prop.rotations[:, None])[:, 0]
+        props.append(replace(prop, positions=places, rotations=turns))
     return replace(
         clip,
         root=frame.remove(clip.root[:, None])[:, 0],
         rotations=frame.remove_rotations(clip.rotations),
-        props=tuple(_in_frame(frame, prop) for prop in clip.props),
+        props=tuple(props),
     )
-
-
-def _in_frame(frame: HeadingFrame, prop: Prop) -> Prop:
-    shape = len(frame.yaw), 1
-    places = np.broadcast_to(prop.positions[:, None], (*shape, 3))
-    turns = np.broadcast_to(prop.rotations[:, None], (*shape, 4))
-    places, turns = frame.remove(places)[:, 0], frame.remove_rotations(turns)[:, 0]
-    return replace(prop, positions=places, rotations=turns)
 
 
 def name_tables(skeleton: Skeleton) -> dict[str, list[str]]:

@@ -167,7 +167,6 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
     Raises InputError, also while the lines are read, if the file is missing,
     unreadable, not UTF-8 text or too long, or has a line without end.
     """
-    path = check_file(path)
     with _readable(path) as (stream, most):
         # utf-8-sig: spreadsheets put a byte-order mark in front.
         text = io.TextIOWrapper(stream, encoding="utf-8-sig")
@@ -195,38 +194,39 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
 
 def beginning(path: AnyPath, most: int = 100) -> str:
     """Return the first characters of a text file, without leading blanks."""
-    with _readable(check_file(path)) as (stream, _):
+    with _readable(path) as (stream, _):
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: AnyPath, most: int) -> str:
     """Read UTF-8 text, gzipped or not; raises InputError above ``most`` bytes."""
-    path = check_file(path)
     with _readable(path, most) as (stream, most):
         return _all(stream, path, most).decode("utf-8-sig")
 
 
 def read_bytes(path: AnyPath, most: int) -> bytes:
     """Read a file, gzipped or not; raises InputError above ``most`` bytes."""
-    path = check_file(path)
     with _readable(path, most) as (stream, most):
         return _all(stream, path, most)
 
 
-def _all(stream: _Stream, path: Path, most: int) -> bytes:
+def _all(stream: _Stream, path: AnyPath, most: int) -> bytes:
     data = stream.read(most + 1)
     if len(data) > most:
         raise _too_long(path, most)
     return data
 
 
-def _too_long(path: Path, most: int) -> InputError:
+def _too_long(path: AnyPath, most: int) -> InputError:
     return InputError(f"{path}: larger than {most / 1e6:.3g} MB; split it")
 
 
 @contextmanager
-def _readable(path: Path, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream, int]]:
+def _readable(
+    path: AnyPath, most: int = _LARGEST_TEXT
+) -> Iterator[tuple[_Stream, int]]:
     """Yield a file unzipped, and its size limit; errors in it become InputErrors."""
+    path = check_file(path)
     try:
         with path.open("rb") as raw:
             if raw.peek(2)[:2] != _GZIP_MAGIC:

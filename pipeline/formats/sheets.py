@@ -1,4 +1,8 @@
-"""Takes as tables, one row per frame: kinefilter's own CSV and the Kinects'."""
+"""Takes as tables, one row per frame: kinefilter's own CSV and the Kinects'.
+
+In kinefilter's, joints are in any order and states are optional. If no state of MSRC-12
+is 2, then 1 only marks a joint as present (Fothergill et al. 2012, CHI).
+"""
 
 from __future__ import annotations
 

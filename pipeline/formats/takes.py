@@ -83,21 +83,8 @@ def read_take(
 ) -> Take:
     """Read a recording of a person.
 
-    Formats are detected by content; each may be gzipped:
-
-    - ``kinefilter``: header ``time,Joint.x,Joint.y,Joint.z,Joint.state,...``, seconds
-      and meters. Joints are in any order, states are optional, and an empty cell is
-      missing. Rows of one time in different places are different people.
-    - ``kinect-v2``: no header, time in units of 100 ns, then x, y, z and state of the
-      25 joints in the SDK's order. Time is counted from the first frame.
-    - ``kinect-v1``: header of 20 joint names separated by ``;``, then ``x y z`` per
-      joint; 30 frames/s, no states.
-    - ``msrc-12``: no header, time in microseconds, then x, y, z and state of Kinect
-      v1's 20 joints in the SDK's order, separated by blanks or commas. If no state is
-      2, then 1 only marks a joint as present (Fothergill et al. 2012, CHI).
-    - ``msr-action3d`` and ``ntu``: see ``datasets``. ``azure``: see the module of this
-      name. ``bvh``, ``trc`` and ``c3d``, if they have joints: see ``mocap``.
-    - ``npy``, ``freemocap``, ``openpose`` and ``mmpose``: see ``keypoints``.
+    Formats (FORMATS; their layouts are in CONVENTIONS.md) are detected by content, and
+    each may be gzipped.
 
     A joint that is not tracked, not a number or exactly at the origin, where sensors
     put joints that they do not see, is missing: NaN and state 0. Joints from trackers

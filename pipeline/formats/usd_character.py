@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import lru_cache
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from kinefilter.characters import Body, Clip, InputError, Shape
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.props import CORNERS
 from kinefilter.characters.rotations import matrix_from_wxyz, rotate
 from kinefilter.characters.skin import INFLUENCES, skin_of
 
@@ -25,7 +25,6 @@ CHARACTER = "/Character"
 SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
 ANIMATION = f"{CHARACTER}/Animation"
-_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
 def new_stage(path: Path, export: Export) -> Any:
@@ -194,12 +193,9 @@ def props_extent(clip: Clip, export: Export, boxes: Array) -> Array:
     """Return boxes (T, 2, 3), lowest and highest corner, enlarged to hold the props."""
     grown = boxes.copy()
     for prop in clip.props:
-        shapes = [
-            shape.position + rotate(shape.rotation, _CORNERS * shape.half_extents)
-            for shape in prop.shapes
-        ]
+        shapes = [shape.corners for shape in prop.shapes]
         low, high = np.min(shapes, axis=(0, 1)), np.max(shapes, axis=(0, 1))
-        corners = 0.5 * (low + high) + 0.5 * (high - low) * _CORNERS
+        corners = 0.5 * (low + high) + 0.5 * (high - low) * CORNERS
         turned = rotate(prop.rotations[:, None], corners)
         placed = export.points(prop.positions[:, None] + turned)
         np.minimum(grown[:, 0], placed.min(axis=1), out=grown[:, 0])

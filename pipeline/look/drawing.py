@@ -45,8 +45,6 @@ TERMS = ("#7b4fb5", "#d9622b", "#20908d", "#8a8f29")
 UNKNOWN = "#999999"
 SENSORS = ((0, 140, 140), (205, 40, 130), (135, 95, 15), (60, 130, 225))
 """Colors of the sensors, in order and repeating."""
-CORNERS = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, 8).T
-"""Corners of a cube with sides of 2 around the origin, shape (8, 3)."""
 
 _GAP = 0.35  # m between the raw figure and the character, chosen by eye
 _UNLIKELY = 0.4  # reliability of the worst joint, averaged over _WINDOW. A guess
@@ -287,11 +285,8 @@ def segment_starts(skeleton: Skeleton) -> list[int]:
 
 def corners_of(prop: Prop, count: int) -> Array:
     """Return corners of boxes around a prop's shapes [m], world frame, (T, 8 S, 3)."""
-    corners = [
-        shape.position + rotate(shape.rotation, CORNERS * shape.half_extents)
-        for shape in prop.shapes
-    ]
-    turned = rotate(prop.rotations[:, None], np.concatenate(corners))
+    corners = np.concatenate([shape.corners for shape in prop.shapes])
+    turned = rotate(prop.rotations[:, None], corners)
     placed = prop.positions[:, None] + turned
     return np.broadcast_to(placed, (count, *placed.shape[1:]))
 

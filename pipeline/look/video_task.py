@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kinefilter.characters import Clip, InputError, Prop
+from kinefilter.characters.props import CORNERS
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.formats.files import atomic_path
 from kinefilter.pipeline.target.floor import find_placement
@@ -22,7 +23,7 @@ from kinefilter.pipeline.workers import given_up
 
 from .cameras import axes_toward, camera_path
 from .comparison import raw_positions
-from .drawing import CORNERS, Drawing, corners_of, offset_beside, read_finite_clip
+from .drawing import Drawing, corners_of, offset_beside, read_finite_clip
 from .options import Look
 
 if TYPE_CHECKING:
