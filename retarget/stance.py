@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags, runs
@@ -20,9 +18,15 @@ def smooth_step(share: Array) -> Array:
 
 def near_stance(time: Array, planted: Flags) -> Array:
     """Return 1 (T,) in frames with contact, falling to 0 in 0.15 s before and after."""
+    return np.asarray(np.maximum(*_nearness(time, planted)))
+
+
+def _nearness(time: Array, planted: Flags) -> tuple[Array, Array]:
+    """Return it for the last contact and for the next, which may be in the frame."""
     last = np.maximum.accumulate(np.where(planted, time, -np.inf))
     following = np.minimum.accumulate(np.where(planted, time, np.inf)[::-1])[::-1]
-    return 1.0 - smooth_step(np.minimum(time - last, following - time) / _BLEND)
+    ended, begins = (time - last) / _BLEND, (following - time) / _BLEND
+    return 1.0 - smooth_step(ended), 1.0 - smooth_step(begins)
 
 
 def holding_moves(
@@ -35,27 +39,20 @@ def holding_moves(
     away from its path. Beyond that it is dragged along, because a body that drifts away
     would otherwise pull its leg straight.
     """
-    moves, stances = np.zeros((len(time), 3)), runs(planted)
-    for stance in stances:
+    moves, frames = np.zeros((len(time), 3)), np.arange(len(time))
+    for stance in runs(planted):
         steps = -np.diff(path[stance][:, [0, 2]], axis=0)
         moves[stance, 0], moves[stance, 2] = _dragged(steps, slack).T
         moves[stance, 1] = height - path[stance, 1]
-    for before, after in pairwise([None, *stances, None]):
-        first = 0 if before is None else before.stop
-        gap = slice(first, len(time) if after is None else after.start)
-        ended, begins = np.zeros((2, gap.stop - gap.start))
-        if before is not None:
-            ended = 1.0 - smooth_step((time[gap] - time[first - 1]) / _BLEND)
-        if after is not None:
-            begins = 1.0 - smooth_step((time[gap.stop] - time[gap]) / _BLEND)
-        # The nearer stance has the larger weight, and all of it next to itself.
-        old, new = ended * (1.0 - begins), begins * (1.0 - ended)
-        some = (ended + begins - ended * begins) / np.maximum(old + new, _TINY)
-        if before is not None:
-            moves[gap] += (some * old)[:, None] * moves[first - 1]
-        if after is not None:
-            moves[gap] += (some * new)[:, None] * moves[gap.stop]
-    return moves
+    ended, begins = _nearness(time, planted)
+    # The nearer stance has the larger weight, and all of it next to itself.
+    old, new = ended * (1.0 - begins), begins * (1.0 - ended)
+    some = (ended + begins - ended * begins) / np.maximum(old + new, _TINY)
+    last = np.maximum.accumulate(np.where(planted, frames, 0))
+    following = np.minimum.accumulate(np.where(planted, frames, frames[-1])[::-1])[::-1]
+    between = (some * old)[:, None] * moves[last]
+    between += (some * new)[:, None] * moves[following]
+    return np.where(planted[:, None], moves, between)
 
 
 def _dragged(steps: Array, slack: float) -> Array:

@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, TextIO
 
 import numpy as np
@@ -46,7 +47,7 @@ _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 _DAMAGE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
     *(RuntimeError, StopIteration, SyntaxError, TypeError, ValueError),
-    *(struct.error, zipfile.BadZipFile, zlib.error),
+    *(TokenError, struct.error, zipfile.BadZipFile, zlib.error),
 )
 """What the readers of numpy, zip, GLB and USD raise for damaged files."""
 

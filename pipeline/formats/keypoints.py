@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V2, InputError
 from kinefilter.characters.arrays import Array
@@ -25,7 +26,7 @@ from kinefilter.characters.motion import check_order
 from .files import array_of, list_in, number_in, read_bytes, read_json, refused
 from .markers import mocap_of_points
 from .mocap import kinect_joints, plain_name, read_points
-from .npz import check_header, read_array
+from .npz import read_array
 from .recording import (
     ASSUMED_FPS,
     MOST_FRAMES,
@@ -83,9 +84,7 @@ _IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BOD
 
 def read_npy(source: str) -> Recording:
     """Read an array of landmarks; raises InputError if it is malformed."""
-    data = io.BytesIO(read_bytes(source, _LARGEST))
-    with refused(source, "cannot be read as npy; expected an array of numbers"):
-        array = read_array(data, len(data.getvalue()))
+    array = _read_npy(source)
     if not _is_pose(array.shape) or array.dtype.kind not in "fiu":
         counts = ", ".join(map(str, sorted(_IN_NPY)))
         raise InputError(
@@ -109,9 +108,13 @@ def claims_npy(source: str) -> bool:
 
     Raises InputError for damaged arrays.
     """
+    return _is_pose(_read_npy(source).shape)
+
+
+def _read_npy(source: str) -> NDArray[Any]:
     data = io.BytesIO(read_bytes(source, _LARGEST))
-    with refused(source, "cannot be read as npy"):
-        return _is_pose(check_header(data, len(data.getvalue())))
+    with refused(source, "cannot be read as npy; expected an array of numbers"):
+        return read_array(data)
 
 
 def read_freemocap(source: str) -> Recording:
