@@ -235,8 +235,7 @@ def _unambiguous(values: Array) -> tuple[Array, Indices]:
 
 def _points_in(cells: Indices, values: Array) -> Array:
     """Return for each cell the mean of the points where the surface cuts its edges."""
-    corners = cells[:, None] + _CORNERS
-    field = values[tuple(np.moveaxis(corners, -1, 0))]
+    field = values[tuple(np.moveaxis(cells[:, None] + _CORNERS, -1, 0))]
     before, after = field[:, _EDGES[:, 0]], field[:, _EDGES[:, 1]]
     cut = (before < 0.0) != (after < 0.0)
     share = np.where(cut, before / np.where(cut, before - after, 1.0), 0.0)
