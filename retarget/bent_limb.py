@@ -45,7 +45,7 @@ def shortage(leg: Array, reach: ArrayLike, most: float = np.inf) -> Array:
     """
     level = np.sum(leg[..., [0, 2]] ** 2, axis=-1)
     height = np.sqrt(np.maximum(np.square(reach) - level, 0.0))
-    return np.clip(leg[..., 1] - height, 0.0, most)
+    return np.asarray(np.clip(leg[..., 1] - height, 0.0, most))
 
 
 def rejection(bone: Array, line: Array) -> Array:

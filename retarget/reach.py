@@ -25,10 +25,9 @@ class Reach:
         legs = [skeleton.sides(part) for part in ("Hip", "Knee", "Ankle")]
         self._arms, self._legs = np.transpose(arms), np.transpose(legs)
         self._beyond = [[j, *skeleton.descendants(j)] for j in self._arms[:, 2]]
-        below = [j for hip in self._legs[:, 0] for j in skeleton.descendants(int(hip))]
+        below = [j for hip in skeleton.hips for j in skeleton.descendants(int(hip))]
         self._upper = np.setdiff1d(np.arange(len(skeleton)), below)
-        hips = [skeleton.root, *self._legs[:, 0]]
-        self._trunk = np.setdiff1d(self._upper, hips)
+        self._trunk = np.setdiff1d(self._upper, [skeleton.root, *skeleton.hips])
 
     def __call__(
         self, positions: Array, rotations: Array, moves: Array

@@ -342,8 +342,7 @@ def takes_of_people(
         if sightings[rows[0]].face is not None:
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
-        take = Take(time[span], places, states, skeleton, name, face=face)
-        takes.append(take)
+        takes.append(Take(time[span], places, states, skeleton, name, face=face))
     return tuple(takes), _notes_on_changes([parts for parts, _ in people], tracks)
 
 

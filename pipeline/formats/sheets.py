@@ -201,12 +201,8 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
             lines = _without_torn_end(lines, first, layout.columns, notes)
         block = reader.read(lines, first, MOST_FRAMES)
     check_length(len(block.rows), source)
-    time, positions, state = _frames(block, layout, reader)
-    if "time" not in layout.columns:
-        time = np.arange(len(time)) * layout.seconds
-    elif not layout.has_header:
-        # The file has clock readings: subtract the first before scaling rounds them.
-        time = (time - time[0]) * layout.seconds
+    positions, state = _joints(block, layout, reader)
+    time = _time(block, layout, reader)
     check_order(time, lambda k: f"{source}: row {block.rows[k]}, column time", "rows")
     if layout.weighted and state.max() == State.INFERRED:
         # Not states but the w of homogeneous points, 1 for every joint present.
@@ -232,10 +228,8 @@ read_kinect_v1 = partial(_read, _kinect_v1)
 read_msrc_12 = partial(_read, lambda *_: _MSRC)
 
 
-def _frames(
-    block: Block, layout: _Layout, reader: RowReader
-) -> tuple[Array, Array, Codes]:
-    """Return times, positions [m] (R, J, 3) and states (R, J)."""
+def _joints(block: Block, layout: _Layout, reader: RowReader) -> tuple[Array, Codes]:
+    """Return positions [m] (R, J, 3) and states (R, J)."""
     index = {column: i for i, column in enumerate(layout.columns)}
     # A last column stands for those that the file does not have.
     values = np.pad(block.values, ((0, 0), (0, 1)), constant_values=np.nan)
@@ -247,14 +241,21 @@ def _frames(
     for j in np.flatnonzero(unknown.any(axis=0)).tolist():
         complaint = f"is {{:g}}, expected {STATES}"
         reader.refuse(block, columns[4 * j + 3], unknown[:, j], complaint)
-    time = np.zeros(len(values))
-    if (column := index.get("time")) is not None:
-        time = values[:, column]
-        empty = "is empty, expected a time; delete the row"
-        reader.refuse(block, column, np.isnan(time), empty)
-        late = "is {:.3g}, expected a time; correct or delete the row"
-        reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    return time, *mark_missing(joints[..., :3], state.astype(np.uint8))
+    return mark_missing(joints[..., :3], state.astype(np.uint8))
+
+
+def _time(block: Block, layout: _Layout, reader: RowReader) -> Array:
+    """Return times [s] (R,)."""
+    if "time" not in layout.columns:
+        return np.arange(len(block.rows), dtype=np.float64) * layout.seconds
+    column = layout.columns.index("time")
+    time: Array = block.values[:, column]
+    empty = "is empty, expected a time; delete the row"
+    reader.refuse(block, column, np.isnan(time), empty)
+    late = "is {:.3g}, expected a time; correct or delete the row"
+    reader.refuse(block, column, np.abs(time) > _LATEST, late)
+    # Files without a header have clock readings: scaling them would round them.
+    return time if layout.has_header else (time - time[0]) * layout.seconds
 
 
 def write_contacts(clip: Clip, path: AnyPath) -> None:

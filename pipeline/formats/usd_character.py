@@ -79,8 +79,7 @@ def define_skeleton(stage: Any, rig: Rig, export: Export) -> None:
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(joint_paths(rig))
     skeleton.CreateRestTransformsAttr(_transforms(*rig.at_rest, export))
-    bind = _transforms(rig.positions, rig.axes, export)
-    skeleton.CreateBindTransformsAttr(bind)
+    skeleton.CreateBindTransformsAttr(_transforms(rig.positions, rig.axes, export))
     _set_extent(stage, export.points(rig.positions), SKELETON)
 
 
