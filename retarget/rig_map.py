@@ -103,24 +103,20 @@ Axes = tuple[tuple[str, str], tuple[str, str]]
 
 @dataclass(frozen=True)
 class MapBone:
-    """A bone of another skeleton, which starts at the joint of its name."""
+    """A bone of another skeleton, which starts at the joint of its name.
+
+    The other fields are those of the file, None where a bone has none; ``part`` is its
+    ``turned_by``. Without an offset it is only looked for in files, but not built.
+    """
 
     name: str
     parent: str | None
-    """None for the root."""
     part: str | None
-    """Part of the body that turns it; None if it turns with its parent."""
     offset: tuple[float, float, float] | None
-    """Offset from the parent in shares of stature; None if it is only looked for in
-    files, but not built."""
     axes: Axes | None = None
-    """None for the world's axes."""
     twist_of: str | None = None
-    """Part of the body whose twist it shares; None if it is no twist bone."""
     at: float = 0.0
-    """Position of a twist bone along its parent's segment, 0 to 1."""
     follows: str | None = None
-    """Name of the bone in whose place an IK bone always is; None if it is none."""
 
     @property
     def is_built(self) -> bool:
@@ -279,13 +275,11 @@ def listed(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class SourceJoint:
-    """Place of a Kinect joint on another skeleton: the mean of these joints."""
+    """Place of a Kinect joint on another skeleton, with the fields of the file."""
 
     at: tuple[str, ...]
     turned_by: str | None = None
-    """Joint that turns the segment which ends there, if it is known."""
-    others: tuple[tuple[str, ...], ...] = ()
-    """Alternatives if the skeleton lacks the first ones, the best first."""
+    others: tuple[tuple[str, ...], ...] = ()  # the field ``or``
     optional: bool = False
 
 
