@@ -2,5 +2,3 @@
 
 ``import kinefilter`` offers what most users need.
 """
-
-__all__: list[str] = []

@@ -2,5 +2,3 @@
 
 ``cli`` imports a file only when one of its commands is used.
 """
-
-__all__: list[str] = []

@@ -87,7 +87,7 @@ class Blender:
 
     def run(self) -> int:
         """Write the extension."""
-        from kinefilter.pipeline.blender import write_extension
+        from kinefilter.pipeline.blender.extension import write_extension
 
         check_output(self.out, suffix=".zip")
         write_extension(self.out)

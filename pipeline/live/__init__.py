@@ -3,5 +3,3 @@
 ``tests/live_figures.py`` measures latency and memory with one or more people, slow
 readers, and senders of malformed messages.
 """
-
-__all__: list[str] = []

@@ -3,5 +3,3 @@
 ``drawing`` describes what is drawn; ``video``, ``viewer`` and ``page`` each render that
 description in their medium.
 """
-
-__all__: list[str] = []

@@ -3,5 +3,3 @@
 ``smooth`` removes trembling, ``floor`` finds the floor, the sensor's tilt and the
 placement in a scene, ``feet`` finds planted feet and holds them in place.
 """
-
-__all__: list[str] = []
