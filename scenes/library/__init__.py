@@ -1,7 +1,5 @@
 """Scripted performers, and props that follow their hands."""
 
-from __future__ import annotations
-
 from .gaits import Area
 from .moving_props import movable_props, prop_poses
 from .performers import MOTIONS, perform, perform_medley, random_body

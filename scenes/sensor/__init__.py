@@ -1,7 +1,5 @@
 """The virtual Kinect: simulated takes of a motion."""
 
-from __future__ import annotations
-
 from .geometry import SENSORS, Sensor, in_sensor_frame, in_world_frame
 from .kinect import Tracker, observe, sample_take
 from .tracker_errors import TrackerErrors
