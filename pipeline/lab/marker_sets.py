@@ -27,9 +27,8 @@ PLUG_IN_GAIT = Path(__file__).parent / "embedded" / "plug_in_gait.toml"
 _AXES = ("left", "up", "forward")  # x, y, z
 _JOINT_KEYS = {"at", "frame", "offset", "times"}
 _EXAMPLE = "see pipeline/lab/embedded/plug_in_gait.toml for an example"
-_LARGEST = (
-    2.0  # offset, in m or relative to "times": joints are closer to their markers
-)
+_LARGEST = 2.0
+"""Largest offset, in m or relative to ``times``: joints are closer to their markers."""
 
 Points = tuple[str, ...]
 """Names of markers or joints, standing for the mean of their positions."""

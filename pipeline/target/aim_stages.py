@@ -93,10 +93,8 @@ class AimHead(_Aim):
     @staticmethod
     def _aim(draft: Draft, chains: Neck, filters: Sequence[_Filter]) -> None:
         joints, (aim, look) = (draft.positions, draft.rotations), filters
-        head, turn = (
-            chains.straightened(*aim(*chains.aims(*joints, _weights(draft)))),
-            None,
-        )
+        head = chains.straightened(*aim(*chains.aims(*joints, _weights(draft))))
+        turn = None
         if draft.face is not None:
             seen = np.isfinite(draft.face).all(axis=-1, keepdims=True)
             face = np.where(seen, draft.face, 0.0)
