@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from .arrays import (
 )
 from .errors import InputError
 from .rotations import rotate
-
-if TYPE_CHECKING:
-    import trimesh
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 """Corners of a cube with edges of length 2, shape (8, 3)."""
@@ -79,23 +76,22 @@ class Shape:
         """Corners of that box in the prop's frame [m], shape (8, 3)."""
         return self.position + rotate(self.rotation, CORNERS * self.half_extents)
 
-    def surface(self) -> trimesh.Trimesh:
-        """Return its surface [m] in the frame of its own axes."""
+    def surface(self) -> Any:
+        """Return its surface [m] in the frame of its own axes, as trimesh.Trimesh."""
         import trimesh  # slow to import
 
         radius, half = float(self.size[0]), float(self.size[1])
-        make: Any = trimesh.creation
         if self.kind == "mesh":
-            mesh = trimesh.Trimesh(self.points, self.triangles, process=False)
-        elif self.kind == "box":
-            mesh = make.box(extents=2.0 * self.size)
-        elif self.kind == "ellipsoid":
-            mesh = make.icosphere(subdivisions=3)
-            mesh.vertices = mesh.vertices * self.size
-        elif self.kind == "cylinder":
-            mesh = make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
-        else:
-            mesh = make.capsule(2.0 * half, radius, transform=UPRIGHT)
+            return trimesh.Trimesh(self.points, self.triangles, process=False)
+        make = trimesh.creation
+        if self.kind == "box":
+            return make.box(extents=2.0 * self.size)
+        if self.kind == "cylinder":
+            return make.cylinder(radius, 2.0 * half, 32, transform=UPRIGHT)
+        if self.kind == "capsule":
+            return make.capsule(2.0 * half, radius, transform=UPRIGHT)
+        mesh = make.icosphere(subdivisions=3)
+        mesh.vertices = mesh.vertices * self.size
         return mesh
 
 

@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Indices, runs
@@ -73,6 +72,8 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     People are in order of appearance, without simultaneous parts by one sensor. Frames
     without joints are no one's. Tracks that jump too often are one person each.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to load
+
     pieces, separable = _pieces(tracks)
     if not separable:
         return [[Part(piece.track, piece.rows)] for piece in pieces]

@@ -22,7 +22,7 @@ def near_stance(time: Array, planted: Flags) -> Array:
 
 
 def _nearness(time: Array, planted: Flags) -> tuple[Array, Array]:
-    """Return it for the last contact and for the next, which may be in the frame."""
+    """Return ``near_stance`` for the last contact alone and for the next alone."""
     last = np.maximum.accumulate(np.where(planted, time, -np.inf))
     following = np.minimum.accumulate(np.where(planted, time, np.inf)[::-1])[::-1]
     ended, begins = (time - last) / _BLEND, (following - time) / _BLEND

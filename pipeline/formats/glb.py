@@ -13,7 +13,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,9 @@ from kinefilter.characters.skin import skin_of
 
 from .export import GAMMA, LENGTHS, PER_CLIP, PER_FRAME, SKIN_COLOR, Export, name_tables
 from .files import AnyPath, atomic_path
+from .keys import Curve, sparse_curves
 from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
-
-if TYPE_CHECKING:
-    from .keys import Curve
 
 MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 COMPONENT_TYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -196,8 +194,6 @@ def _add_person(
         for node in range(len(rig)):
             glb.move(first + node, "rotation", turns[:, node])
     else:
-        from .keys import sparse_curves  # loads scipy
-
         step, error = 1.0 / clip.fps, export.keys / 1000.0
         for curve in sparse_curves(rig, glb.stamps, step, paths, turns, error):
             glb.bend(first + curve.node, curve)

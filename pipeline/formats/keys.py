@@ -11,7 +11,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.rotations import (
@@ -165,6 +164,8 @@ def _fitted(
 
     ``errors`` gives the error of such values in each frame, 1 for the largest allowed.
     """
+    from scipy.interpolate import CubicSpline  # slow to load
+
     kept = np.zeros(len(stamps), dtype=np.bool_)
     kept[[0, -1]] = True
 

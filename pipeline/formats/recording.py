@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -15,12 +15,10 @@ from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
+from kinefilter.pipeline.people import Part, Track, people_of
 
 from .files import open_text
 from .plain import counted
-
-if TYPE_CHECKING:
-    from kinefilter.pipeline.people import Part, Track
 
 _Path = TypeVar("_Path", bound=PurePath)
 Notes = tuple[str, ...]
@@ -291,8 +289,6 @@ def takes_of_people(
     of the frames, whose time stamps [s] have shape (T,). Raises InputError if no one is
     tracked, a body is in a frame twice, or a take is malformed.
     """
-    from kinefilter.pipeline.people import Track, people_of
-
     joints = len(skeleton)
     check_length(len(time), source)
     check_rate(time, source)

@@ -254,7 +254,7 @@ def _time(block: Block, layout: _Layout, reader: RowReader) -> Array:
     reader.refuse(block, column, np.isnan(time), empty)
     late = "is {:.3g}, expected a time; correct or delete the row"
     reader.refuse(block, column, np.abs(time) > _LATEST, late)
-    # Files without a header have clock readings: scaling them would round them.
+    # Without a header they are clock readings, which scaling alone would round.
     return time if layout.has_header else (time - time[0]) * layout.seconds
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import check_choice
+from kinefilter.pipeline.target.upright import with_y_up
 
 from .files import AnyPath, beginning, check_file
 from .recording import Recording, at_rate, open_rows
@@ -114,8 +115,6 @@ def read_recording(
     with Path(source).open("rb") as file:
         if file.read(8).startswith(_CLIPS):
             raise InputError(f"{source}: is a clip or an archive; give the take")
-    from kinefilter.pipeline.target.upright import with_y_up
-
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
     read: Callable[[str], Recording]
