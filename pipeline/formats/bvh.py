@@ -229,11 +229,9 @@ class _BvhReader(LineReader):
         reader = RowReader(self.source, columns)
         # A file with more rows than frames has a wrong header: do not read it all.
         block = reader.read(self.lines, self.row + 1, frames)
-        for k, values in enumerate(block.values.T):
-            missing = "is not a number; expected one"
-            reader.refuse(block, k, np.isnan(values), missing)
-            large = np.abs(values) > LARGEST_NUMBER
-            reader.refuse(block, k, large, "is {:.3g}; delete the frame")
+        reader.refuse(block, np.isnan(block.values), "is not a number; expected one")
+        large = np.abs(block.values) > LARGEST_NUMBER
+        reader.refuse(block, large, "is {:.3g}; delete the frame")
         count = len(block.rows)
         self.row = int(block.rows[-1]) if count else self.row
         if count != frames:

@@ -66,9 +66,8 @@ class RowReader:
             numbered = zip(rows, texts, strict=True)
             values = np.array([self._numbers(row, text) for row, text in numbered])
         block = Block(rows, values)
-        for column in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():
-            complaint = "is infinite; expected a finite number"
-            self.refuse(block, column, np.isinf(values[:, column]), complaint)
+        complaint = "is infinite; expected a finite number"
+        self.refuse(block, np.isinf(values), complaint)
         return block
 
     def _numbers(self, row: int, text: str) -> list[float]:
@@ -87,15 +86,14 @@ class RowReader:
                 self._fail(row, column, f"is {word!r}, expected a number; {hint}")
         return numbers
 
-    def refuse(self, block: Block, column: int, wrong: Flags, complaint: str) -> None:
-        """Raise InputError for the first wrong row (R,), if any.
+    def refuse(self, block: Block, wrong: Flags, complaint: str) -> None:
+        """Raise InputError for the first wrong number (R, C), if any.
 
-        ``{}`` in the complaint stands for the number in that row.
+        ``{}`` in the complaint stands for that number.
         """
         if wrong.any():
-            k = int(np.argmax(wrong))
-            value = block.values[k, column]
-            self._fail(block.rows[k], column, complaint.format(value))
+            k, column = np.argwhere(wrong)[0].tolist()
+            self._fail(block.rows[k], column, complaint.format(block.values[k, column]))
 
     def _fail(self, row: int, column: int, complaint: str) -> NoReturn:
         name = self.columns[column]

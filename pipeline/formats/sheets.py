@@ -230,6 +230,9 @@ read_msrc_12 = partial(_read, lambda *_: _MSRC)
 
 def _joints(block: Block, layout: _Layout, reader: RowReader) -> tuple[Array, Codes]:
     """Return positions [m] (R, J, 3) and states (R, J)."""
+    states = np.array([column.endswith(".state") for column in layout.columns])
+    known = np.isnan(block.values) | np.isin(block.values, list(State))
+    reader.refuse(block, states & ~known, f"is {{:g}}, expected {STATES}")
     index = {column: i for i, column in enumerate(layout.columns)}
     # A last column stands for those that the file does not have.
     values = np.pad(block.values, ((0, 0), (0, 1)), constant_values=np.nan)
@@ -237,10 +240,6 @@ def _joints(block: Block, layout: _Layout, reader: RowReader) -> tuple[Array, Co
     joints = values[:, columns].reshape(len(values), len(layout.skeleton), -1)
     # An empty state does not make the joint missing.
     state = np.nan_to_num(joints[..., 3], nan=State.TRACKED)
-    unknown = ~np.isin(state, list(State))
-    for j in np.flatnonzero(unknown.any(axis=0)).tolist():
-        complaint = f"is {{:g}}, expected {STATES}"
-        reader.refuse(block, columns[4 * j + 3], unknown[:, j], complaint)
     return mark_missing(joints[..., :3], state.astype(np.uint8))
 
 
@@ -248,12 +247,12 @@ def _time(block: Block, layout: _Layout, reader: RowReader) -> Array:
     """Return times [s] (R,)."""
     if "time" not in layout.columns:
         return np.arange(len(block.rows), dtype=np.float64) * layout.seconds
-    column = layout.columns.index("time")
-    time: Array = block.values[:, column]
+    times = np.array(layout.columns) == "time"
     empty = "is empty, expected a time; delete the row"
-    reader.refuse(block, column, np.isnan(time), empty)
+    reader.refuse(block, times & np.isnan(block.values), empty)
     late = "is {:.3g}, expected a time; correct or delete the row"
-    reader.refuse(block, column, np.abs(time) > _LATEST, late)
+    reader.refuse(block, times & (np.abs(block.values) > _LATEST), late)
+    time: Array = block.values[:, times][:, 0]
     # Without a header they are clock readings, which scaling alone would round.
     return time if layout.has_header else (time - time[0]) * layout.seconds
 
