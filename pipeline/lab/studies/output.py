@@ -22,13 +22,13 @@ from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import atomic_path
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.scenes import SAMPLE
 
 from .study import Cell, Panel, Series, Study
 
@@ -171,8 +171,7 @@ def make_pictures(
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
-        sample = sample_path()
-        _animate(clean(read_take(sample)).clip, path, progress, compare=sample)
+        _animate(clean(read_take(SAMPLE)).clip, path, progress, compare=SAMPLE)
         yield f"wrote {path}"
         path = folder / "held_box.gif"  # a mimed lift: the box goes onto the table
         take = simulate("box", "store_box", seed=_CARRIER).take
