@@ -25,7 +25,7 @@ _METHODS = (
     "full-gp,local-gp,clustered-gp,learned"
 )
 _FOR_HIDING = ("gap", "guess", "context", "live", "by")
-_FOR_METHODS = ("test", "protocol", "ablation", "database", "mocap_database")
+_FOR_METHODS = ("test", "protocol", "database", "mocap_database")
 _UNUSED = {
     "evaluate without --hide": (*_FOR_HIDING, "sync"),
     "--hide": (*_FOR_METHODS, "sync"),
@@ -55,7 +55,7 @@ class Evaluate:
 
     Presets are the papers' systems, without the stages that a paper lacks. Methods can
     be chained, as in learned+local-pca, and can have parameters of their own, as in
-    local-pca:neighbors=30.
+    local-pca:neighbors=30, or local-gp:temporal=0 without a term of its energy.
 
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with the clip cleaned with nothing hidden, and with mocap. For
@@ -92,9 +92,6 @@ class Evaluate:
     of which is in it; or on new repetitions by the people in it."""
     physics: bool = True
     """Pull the simulated character through the corrected motion, as clean does."""
-    ablation: bool = False
-    """Also measure methods without some of their parts: local-gp without terms of its
-    energy (Liu 2016, Table 5), and Shum's methods A and B beside local-pca."""
     database: Path | None = None
     """Motion database (.npz) for methods that need one; default: the built-in one,
     which the method default always uses."""
@@ -171,7 +168,6 @@ class Evaluate:
                 assigned=self.set,
                 protocol=self.protocol,
                 physics=self.physics,
-                ablation=self.ablation,
                 database=database,
                 every=self.every,
                 progress=progress,
