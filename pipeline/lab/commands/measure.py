@@ -17,6 +17,7 @@ from kinefilter.pipeline.commands.terminal import (
     write_json,
 )
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats.files import make_folder
 
 from . import clips_of
 
@@ -280,8 +281,10 @@ class Reproduce:
         names = self.studies if self.all is None else tuple(studies.STUDIES)
         studies.check_names(names)
         studies.output.check_drawing()
-        studies.output.check_studies_folder(folder)
         data = studies.recordings_folder(self.data)
+        if not folder.is_dir():
+            check_output(folder)  # only the last folder may be missing
+        make_folder(folder)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
             if self.all is not None and studies.is_up_to_date(name, folder, stamp):

@@ -21,7 +21,7 @@ from kinefilter import Cleaner, clean, read_take, write_clip
 from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.formats import atomic_path
+from kinefilter.pipeline.formats.files import atomic_path, make_folder
 from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
@@ -51,17 +51,6 @@ _TIMEOUT = 600.0  # s for the script, a guess: ten times what it needs
 _PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
 
 
-def check_studies_folder(folder: Path) -> None:
-    """Raise an InputError if a folder neither exists nor can be created."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; give a folder to write to")
-    if not folder.exists() and not folder.parent.is_dir():
-        raise InputError(
-            f"{folder}: folder {folder.parent} does not exist; create it or give "
-            "another folder"
-        )
-
-
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
     """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
 
@@ -70,12 +59,7 @@ def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
     Raises:
         InputError: The folder cannot be created, or matplotlib is not installed.
     """
-    check_studies_folder(folder)
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{folder}: cannot be created ({reason})") from error
+    make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"
     with atomic_path(table) as new_table, atomic_path(plot) as new_plot:
         write_table([study.columns, *study.rows], new_table)
