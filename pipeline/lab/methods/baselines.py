@@ -18,8 +18,6 @@ from .fused_offsets import Energy, FusedOffsets
 from .local_models import JointFeatures, JointKernels, fit_kernels
 from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
-# The prediction alone counts.
-_ENERGY: Energy = {"temporal": 0.0, "reliability": 0.0, "likelihood": "density"}
 _FOR_VARIANCE = 10  # nearest samples used for the bound on the variance
 _NO_OFFSET = 0.05  # weight of a zero offset, against 1 for an identical posture
 
@@ -43,6 +41,8 @@ class FullGP(FusedOffsets):
         *("postures", "weights", "kernels", "joints", "seen", "movement", "misplaced"),
     )
     adjustable = (*FusedOffsets.adjustable, "variance")
+    temporal = reliability = 0.0
+    likelihood = "density"
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class FullGP(FusedOffsets):
         seed: int = 0,
         **energy: Unpack[Energy],
     ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed, **_ENERGY | energy)
+        super().__init__(skeleton, samples=samples, seed=seed, **energy)
         self.variance = variance
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:

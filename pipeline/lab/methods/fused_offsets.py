@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, TypedDict
+from typing import Any, ClassVar, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -30,7 +30,7 @@ term."""
 
 
 class Energy(TypedDict, total=False):
-    """Keywords of the energy; ``FusedOffsets`` has the defaults."""
+    """Keywords of the energy, which are attributes of ``FusedOffsets``."""
 
     spatial: float
     """Weight of the predicted offset (first term of eq. 22)."""
@@ -98,7 +98,7 @@ class FusedOffsets(OffsetCorrector):
     Args:
         samples: Maximum number of training frames.
         seed: Seed for drawing the training frames.
-        spatial: See ``Energy`` for this and the other keywords.
+        energy: Keywords of ``Energy``.
     """
 
     seen_: Flags
@@ -110,30 +110,19 @@ class FusedOffsets(OffsetCorrector):
     """Variance [m^2] of the reliability term's density, which is a ratio: the density
     of reliable joints' offsets over that of all offsets, shape (M,)."""
     adjustable: ClassVar[tuple[str, ...]] = tuple(Energy.__annotations__)
+    spatial, temporal, reliability = 0.6, 0.2, 0.2
+    likelihood: Likelihood = "relative"
+    carry, spared = 1.0, 0.0
+    inputs: Inputs = "held"
 
     def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        samples: int,
-        seed: int,
-        spatial: float = 0.6,
-        temporal: float = 0.2,
-        reliability: float = 0.2,
-        likelihood: Likelihood = "relative",
-        carry: float = 1.0,
-        spared: float = 0.0,
-        inputs: Inputs = "held",
+        self, skeleton: Skeleton, *, samples: int, seed: int, **energy: Unpack[Energy]
     ) -> None:
-        for name, share in (("carry", carry), ("spared", spared)):
-            if not 0.0 <= share <= 1.0:
-                raise InputError(f"{name}={share:g}: must be a share, from 0 to 1")
         super().__init__(skeleton, samples=samples, seed=seed)
-        self.spatial, self.temporal = spatial, temporal
-        self.reliability = reliability
-        self.likelihood: Likelihood = likelihood
-        self.carry, self.spared = carry, spared
-        self.inputs: Inputs = inputs
+        vars(self).update(energy)
+        for name in ("carry", "spared"):
+            if not 0.0 <= (share := getattr(self, name)) <= 1.0:
+                raise InputError(f"{name}={share:g}: must be a share, from 0 to 1")
         self._past: list[Array] = []
 
     @cached_property
