@@ -30,7 +30,7 @@ class Method:
 
     def make(self, base: Any, **keywords: Any) -> Any:
         """Return a corrector for what the method ``requires``."""
-        return self.load()(base, **(self.constants | keywords))
+        return self.load()(base, **{**self.constants, **keywords})
 
 
 def load(where: str) -> Any:

@@ -6,13 +6,13 @@ both papers put around the predictions of their Gaussian processes.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, TypedDict, Unpack
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.hold import RELIABLE
@@ -27,26 +27,6 @@ Inputs = Literal["measured", "held"]
 """What offsets are predicted from and added to. ``measured``: the joints as measured.
 ``held``: unreliable joints are held on their last bones, if there is a reliability
 term."""
-
-
-class Energy(TypedDict, total=False):
-    """Keywords of the energy, which are attributes of ``FusedOffsets``."""
-
-    spatial: float
-    """Weight of the predicted offset (first term of eq. 22)."""
-    temporal: float
-    """Weight of constant velocity (second term)."""
-    reliability: float
-    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
-    likelihood: Likelihood
-    """Units of the energy's terms."""
-    carry: float
-    """Share of the last velocity that the temporal term expects in the next frame; 1 is
-    constant velocity, as printed."""
-    spared: float
-    """Share of the temporal weight that is removed from a fully reliable joint."""
-    inputs: Inputs
-    """What offsets are predicted from."""
 
 
 _LARGEST = 100_000  # frames used to measure the variances of movement and error
@@ -92,34 +72,40 @@ def least_energy(
     return np.asarray(pull / np.maximum(total, 1e-12))
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class FusedOffsets(OffsetCorrector):
-    """Adds to each joint the offset of least energy around a prediction.
+    """Adds to each joint the offset of least energy around a prediction."""
 
-    Args:
-        samples: Maximum number of training frames.
-        seed: Seed for drawing the training frames.
-        energy: Keywords of ``Energy``.
-    """
-
-    seen_: Flags
+    spatial: float = 0.6
+    """Weight of the predicted offset (first term of eq. 22)."""
+    temporal: float = 0.2
+    """Weight of constant velocity (second term)."""
+    reliability: float = 0.2
+    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
+    likelihood: Likelihood = "relative"
+    """Units of the energy's terms."""
+    carry: float = 1.0
+    """Share of the last velocity that the temporal term expects in the next frame; 1 is
+    constant velocity, as printed."""
+    spared: float = 0.0
+    """Share of the temporal weight that is removed from a fully reliable joint."""
+    inputs: Inputs = "held"
+    """What offsets are predicted from."""
+    seen_: Flags = field(init=False)
     """The joints that the sensor measures, shape (J,)."""
-    movement_: Array
+    movement_: Array = field(init=False)
     """Variance [m^2] of the temporal term's density: of a coordinate's second
     difference between frames in which the joint is reliable, shape (M,)."""
-    misplaced_: Array
+    misplaced_: Array = field(init=False)
     """Variance [m^2] of the reliability term's density, which is a ratio: the density
     of reliable joints' offsets over that of all offsets, shape (M,)."""
-    adjustable: ClassVar[tuple[str, ...]] = tuple(Energy.__annotations__)
-    spatial, temporal, reliability = 0.6, 0.2, 0.2
-    likelihood: Likelihood = "relative"
-    carry, spared = 1.0, 0.0
-    inputs: Inputs = "held"
+    adjustable: ClassVar[tuple[str, ...]] = (
+        *("spatial", "temporal", "reliability", "likelihood", "carry", "spared"),
+        "inputs",
+    )
 
-    def __init__(
-        self, skeleton: Skeleton, *, samples: int, seed: int, **energy: Unpack[Energy]
-    ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed)
-        vars(self).update(energy)
+    def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("carry", "spared"):
             if not 0.0 <= (share := getattr(self, name)) <= 1.0:
                 raise InputError(f"{name}={share:g}: must be a share, from 0 to 1")
