@@ -279,7 +279,7 @@ def _spread(choices: Sequence[int], count: int) -> list[int]:
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
     """Return databases of scripted postures, filtered to about the given sizes."""
     shipped, found = builtin_database(KINECT_V1), dict[int, PostureDatabase]()
-    parts = [("shipped", shipped.positions, shipped.rotations)]
+    parts: list[Any] = [("shipped", shipped.positions, shipped.rotations)]
     for size in over(sorted(sizes), "filter", progress):
         if size > len(shipped) and len(parts) == 1:
             parts = [*scripted_postures(KINECT_V1, progress)]
