@@ -244,10 +244,10 @@ class Reproduce:
     as in figure 6 of Shum and of Liu, use kinefilter rate.
 
     Figures that README states are compared with the measured ones; the exit code is 1
-    if one does not hold. With --all, every study and picture is made, in over an hour
+    if one does not hold. With --all, every study and animation is made, in over an hour
     on two cores. Running it again makes only what is missing or was made with other
-    code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
-    also needs OpenGL, pictures of pages need viser, Chromium and a checkout.
+    code or recordings. Needs pip install "kinefilter[reproduce]"; animations also need
+    OpenGL.
     """
 
     studies: Positional[tuple[str, ...]] = ()

@@ -6,8 +6,6 @@ Only this file uses matplotlib.
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -47,8 +45,6 @@ _ARM_LENGTH = 2.6  # s, of the animation of a hidden arm
 _OTHERS = 4  # one in this many clips of other people trains the prior
 _CARRIER = 5012  # seed of the performer who carries a box
 _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
-_TIMEOUT = 600.0  # s for the script, a guess: ten times what it needs
-_PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
 
 
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
@@ -148,10 +144,9 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
 def make_pictures(
     folder: Path, *, data: Path | None = None, progress: Progress = silent
 ) -> Iterator[str]:
-    """Make README's pictures in an existing folder, and yield a line on each result.
+    """Make README's animations in an existing folder, and yield a line on each result.
 
-    Animations need OpenGL, and that of a hidden arm also recordings; pictures of pages
-    need viser, Chromium and a script that only a checkout has.
+    They need OpenGL, and that of a hidden arm also recordings.
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
@@ -168,7 +163,6 @@ def make_pictures(
             yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
-    yield _take_pictures_of_pages(folder)
 
 
 def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
@@ -232,19 +226,3 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]
     height, width = frames[0].shape[:2]
     write_gif([coded], path, (width, height), _RATE)
-
-
-def _take_pictures_of_pages(folder: Path) -> str:
-    """Run the checkout's script for pictures of pages, and return its result."""
-    failed = f"not made: the pictures of {_PAGES.name}"
-    if not _PAGES.is_file():
-        return f"{failed} (the script comes only with a checkout)"
-    command = [sys.executable, str(_PAGES), str(folder)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        return f"{failed} (not finished after {_TIMEOUT:g} s)"
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
-        return f"{failed} ({reason})"
-    return f"{_PAGES.name}: wrote into {folder}"
