@@ -32,7 +32,6 @@ class FullGP(FusedOffsets):
     """
 
     samples: int = 2500
-    """Maximum number of training frames."""
     variance: Literal["exact", "bound"] = "bound"
     """``exact`` costs one product with an N x N matrix per joint and frame, N being the
     number of samples; ``bound`` is an upper bound from the ten most similar samples."""
@@ -130,7 +129,6 @@ class Exemplar(OffsetCorrector):
     """
 
     samples: int = 10000
-    """Maximum number of training frames."""
     neighbors: int = 10
     """Number of postures averaged."""
     width_: Any = field(init=False)

@@ -20,15 +20,6 @@ from kinefilter.pipeline.correct.hold import RELIABLE
 from .training_data import OffsetCorrector, TrainingSet, add_offsets
 
 Likelihood = Literal["relative", "density"]
-"""Units of the energy's terms. ``relative``: squared distances, the spatial one scaled
-by the prior variance over the predicted variance. ``density``: each term is a negative
-log density, with a variance measured on the training data."""
-Inputs = Literal["measured", "held"]
-"""What offsets are predicted from and added to. ``measured``: the joints as measured.
-``held``: unreliable joints are held on their last bones, if there is a reliability
-term."""
-
-
 _LARGEST = 100_000  # frames used to measure the variances of movement and error
 _LEAST = 1e-8  # m^2: a tenth of a millimeter, which is invisible
 _RELIABLE = 0.9  # reliability from which a joint's error counts as a reliable joint's
@@ -83,14 +74,18 @@ class FusedOffsets(OffsetCorrector):
     reliability: float = 0.2
     """Weight of a zero offset, scaled by the joint's reliability (third term)."""
     likelihood: Likelihood = "relative"
-    """Units of the energy's terms."""
+    """Units of the energy's terms. ``relative``: squared distances, the spatial one
+    scaled by the prior variance over the predicted variance. ``density``: each term is
+    a negative log density, with a variance measured on the training data."""
     carry: float = 1.0
     """Share of the last velocity that the temporal term expects in the next frame; 1 is
     constant velocity, as printed."""
     spared: float = 0.0
     """Share of the temporal weight that is removed from a fully reliable joint."""
-    inputs: Inputs = "held"
-    """What offsets are predicted from."""
+    inputs: Literal["measured", "held"] = "held"
+    """What offsets are predicted from and added to. ``measured``: the joints as
+    measured. ``held``: unreliable joints are held on their last bones, if there is a
+    reliability term."""
     seen_: Flags = field(init=False)
     """The joints that the sensor measures, shape (J,)."""
     movement_: Array = field(init=False)

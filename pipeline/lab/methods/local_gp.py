@@ -54,8 +54,8 @@ class LocalGP(FusedOffsets):
     trend: bool = True
     """Use a linear trend as the processes' mean function instead of 0."""
     votes: Votes = "precision"
-    """Weights by which local models are blended: ``similarity`` as in eq. 12, or
-    ``precision``, which also discounts models without a sample nearby."""
+    """Weights by which local models are blended: ``similarity`` as in eq. 12, or that
+    times ``precision``, which also discounts models without a sample nearby."""
     adapt: bool = False
     """Learn from the corrected frames themselves, until ``start``."""
     adapt_reliability: float = 0.9
