@@ -205,12 +205,7 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
 def learned_weights(
     pairs: Sequence[PairedTake], *, progress: Progress = silent
 ) -> ClueWeights:
-    """Return weights trained on pairs of one skeleton.
-
-    Args:
-        pairs: Takes with ground truth.
-        progress: Wraps the loop over the takes, for a progress bar.
-    """
+    """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
     parts = [_clues_and_errors(pair) for pair in over(pairs, "clues", progress)]
