@@ -66,6 +66,11 @@ class Skeleton:
         return [self.index(part + side) for side in SIDES]
 
     @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Name of each joint without its side."""
+        return tuple(re.sub("(Left|Right)$", "", joint) for joint in self.joints)
+
+    @cached_property
     def hips(self) -> Indices:
         """Indices of the left and the right hip."""
         return np.array(self.sides("Hip"))

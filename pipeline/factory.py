@@ -55,7 +55,7 @@ def _build(
     method = METHODS[name]
     base = skeleton if method.requires == "skeleton" else _database(skeleton, config)
     options = {option: getattr(config, option) for option in method.options}
-    corrector: Corrector = method.load()(base, **(options | constants))
+    corrector: Corrector = method.make(base, **(options | constants))
     return corrector
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from dataclasses import fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, Unpack, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import shown
@@ -31,15 +32,14 @@ def type_hints(kind: Any) -> dict[str, Any]:
 
 def keyword_hints(kind: Any) -> dict[str, Any]:
     """Return the type of each keyword-only argument of a constructor."""
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return {f.name: hints[f.name] for f in fields(kind) if f.init and f.kw_only}
     function: Any = vars(kind).get("__init__") if isinstance(kind, type) else kind
     if function is None:  # inherited
         return keyword_hints(kind.__base__)
     hints = get_type_hints(function)
-    found = {name: hints[name] for name in function.__kwdefaults__ or {}}
-    for hint in hints.values():
-        if get_origin(hint) is Unpack:  # of keywords that are passed on
-            found |= get_type_hints(*get_args(hint))
-    return found
+    return {name: hints[name] for name in function.__kwdefaults__ or {}}
 
 
 def check_fields(settings: Any) -> None:

@@ -5,7 +5,8 @@ To add one, write a file and add a line here: command line and tests use these t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal, TypeAlias
 
@@ -20,10 +21,16 @@ class Method:
     """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
     options: tuple[str, ...] = ()
     """Fields of ``CleanConfig`` that its constructor also takes."""
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    """Keywords of its constructor that have other defaults here."""
 
     def load(self) -> Any:
         """Import and return the method's class or factory."""
         return load(self.where)
+
+    def make(self, base: Any, **keywords: Any) -> Any:
+        """Return a corrector for what the method ``requires``."""
+        return self.load()(base, **{**self.constants, **keywords})
 
 
 def load(where: str) -> Any:
@@ -32,6 +39,7 @@ def load(where: str) -> Any:
     return getattr(import_module(f"kinefilter.pipeline.{module}"), name)
 
 
+_SHUM = {"neighbors": 30, "memory": 0.0}  # the paper's; it queries the frame alone
 METHODS = {
     "default": Method("factory:default_corrector", "database", ("search", "seed")),
     "local-pca": Method("correct.local_pca:LocalPCA", "database", ("search", "seed")),
@@ -48,9 +56,11 @@ METHODS = {
     "kalman": Method("lab.methods.filters:ConstantLengthKalman", "skeleton"),
     "low-rank": Method("lab.methods.low_rank:LowRank", "skeleton"),
     "nearest": Method("lab.methods.posture:Nearest", "database"),
-    "posture-space": Method("lab.methods.posture:LeastEnergy", "database", ("seed",)),
+    "posture-space": Method(
+        "lab.methods.posture:LeastEnergy", "database", ("seed",), _SHUM
+    ),
     "no-reliability": Method(
-        "lab.methods.posture:NoReliability", "database", ("seed",)
+        "lab.methods.posture:NoReliability", "database", ("seed",), _SHUM
     ),
 }
 """Correction methods."""

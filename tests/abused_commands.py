@@ -30,13 +30,13 @@ from kinefilter.pipeline.formats import (
     write_take_csv,
 )
 from kinefilter.pipeline.formats.sheets import contact_table
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget.rig_map import RIGS
+from kinefilter.scenes import SAMPLE
 from kinefilter.scenes.library import Area, perform
 from kinefilter.scenes.sensor import Sensor, observe
 
@@ -207,7 +207,7 @@ def _check_clip(path: Path, words: Sequence[str]) -> None:
 def prepare(folder: Path) -> dict[str, Path]:
     """Write valid files of every kind into a folder, and return them by name."""
     folder.mkdir(parents=True, exist_ok=True)
-    sample, pair = read_take(sample_path()), simulate("basic", "wave", sensor="v2")
+    sample, pair = read_take(SAMPLE), simulate("basic", "wave", sensor="v2")
     v1, v2 = part(sample, 40, 20), part(pair.take, 60, 20)
     clip = clean(v1).clip
     files = write_valid(folder, clip, v1, v2)

@@ -30,8 +30,8 @@ from websockets.exceptions import ConnectionClosed
 from kinefilter import read_take
 from kinefilter.characters import InputError, State, Take
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live.messages import format_frame
+from kinefilter.scenes import SAMPLE
 
 _CLEAN = "clean {take.csv} -o {out}/o.%s --json {out}/o.json --save-contacts {out}/c"
 _SHOWN = {
@@ -240,7 +240,7 @@ def abuse_by_crowds(attempt: Attempt) -> None:
     """Clean very many takes, a very long one, or very many people in one."""
     rng, folder, out = attempt.rng, attempt.folder, attempt.out
     kind = ("takes", "hours", "people")[attempt.n] if attempt.n < 3 else "people"
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     if kind == "takes":
         count = 2000 if attempt.minutes >= 30 else 200
         attempt.what = f"{count} takes"

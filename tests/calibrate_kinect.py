@@ -19,7 +19,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -33,7 +32,9 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.arrays import Array, runs
 from kinefilter.characters.rotations import matrix_from_wxyz
+from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.recorded_acts import (
     DISTANCE,
     NOT_IN_MOCAP,
@@ -46,18 +47,10 @@ from kinefilter.scenes.library import MOTIONS, perform
 from kinefilter.scenes.sensor import Sensor, in_world_frame, observe
 from kinefilter.scenes.sensor.visibility import look
 
-Array = NDArray[np.float64]
-
 FITTED, HELD_OUT = ("s02", "s03", "s04"), ("s06", "s07", "s08")
 PEOPLE = (*FITTED, *HELD_OUT)
 JOINTS = [j for j in range(len(KINECT_V1)) if j not in NOT_IN_MOCAP]
-LIMBS = [
-    index(part + side)
-    for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-    for side in ("Left", "Right")
-]
-HIPS = [index("HipLeft"), index("HipRight")]
-SIDES = ("Left", "Right")
+ACCURACY = Accuracy(KINECT_V1)
 GESTURES = ("wave", "talk", "point", "raise_arms", "rotate_arms", "scratch")
 TRAVELING = ("walk", "run", "carry")  # they leave the range of any sensor
 console = Console(soft_wrap=True, highlight=False, width=110)
@@ -164,10 +157,8 @@ def paired_figures(pairs: list[Pair]) -> dict[str, float]:
     """Return figures of Kinect against mocap, lengths in cm, steps in mm."""
     whole, varying, lagged, steps, jerk = [], [], [], [], []
     for pair in pairs:
-        error = pair.error - pair.error[:, HIPS].mean(axis=1, keepdims=True)
-        whole.append(np.linalg.norm(error[:, LIMBS], axis=-1))
-        centered = error - np.nanmean(error, axis=0)
-        varying.append(np.linalg.norm(centered[:, LIMBS], axis=-1))
+        whole.append(ACCURACY.distances(pair.kinect, pair.mocap))
+        varying.append(ACCURACY.varying(pair.kinect, pair.mocap))
         moved = pair.error - np.nanmean(pair.error, axis=0)
         if len(moved) > 30:
             lagged.append([_products(moved, lag) for lag in (1, 3, 10)])
@@ -212,9 +203,14 @@ def state_figures(takes: list[Take]) -> dict[str, float]:
     share = inferred.mean(axis=0)
 
     def of(stem: str) -> float:
-        return float(np.mean([share[skeleton.index(stem + s)] for s in SIDES]))
+        return float(np.mean(share[skeleton.sides(stem)]))
 
-    runs = np.concatenate([_runs(t.state[:, j]) for t in takes for j in range(25)])
+    inferred_runs = [
+        run.stop - run.start
+        for take in takes
+        for state in take.state.T
+        for run in runs(state == State.INFERRED)
+    ]
     return {
         "inferred joints": float(share.mean()),
         "inferred hands": of("Hand"),
@@ -222,8 +218,10 @@ def state_figures(takes: list[Take]) -> dict[str, float]:
         "inferred elbows": of("Elbow"),
         "inferred knees": of("Knee"),
         "inferred ankles": of("Ankle"),
-        "inferred run, median [frames]": float(np.median(runs)),
-        "inferred run, 90th percentile [frames]": float(np.quantile(runs, 0.9)),
+        "inferred run, median [frames]": float(np.median(inferred_runs)),
+        "inferred run, 90th percentile [frames]": float(
+            np.quantile(inferred_runs, 0.9)
+        ),
     }
 
 
@@ -234,16 +232,11 @@ def bone_figures(takes: list[Take]) -> dict[str, float]:
     labels = ("upper arm", "forearm", "thigh", "shank", "collar")
     found = {}
     for name, label in zip(names, labels, strict=True):
-        ends = [skeleton.index(name + side) for side in SIDES]
+        ends = skeleton.sides(name)
         found[f"variation of {label} length"] = float(
             np.nanmedian([_variation(t, j) for t in takes for j in ends])
         )
     return found
-
-
-def _runs(state: NDArray[np.uint8]) -> NDArray[np.intp]:
-    edges = np.diff(np.pad((state == State.INFERRED).astype(int), 1))
-    return np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
 
 
 def _variation(take: Take, j: int) -> float:

@@ -35,9 +35,9 @@ from websockets.asyncio.client import connect
 
 from kinefilter import read_take
 from kinefilter.characters import Take
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live.messages import Frame, format_frame
 from kinefilter.pipeline.live.playback import frames_of
+from kinefilter.scenes import SAMPLE
 
 _say = Console(soft_wrap=True, highlight=False).print
 _REMEMBERED = 1000  # frames whose poses are waited for
@@ -97,7 +97,7 @@ async def live(folder: Path, *flags: str) -> AsyncIterator[Live]:
 
 def people(count: int) -> list[Take]:
     """Return the sample take for some people side by side, each in another frame."""
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     return [
         Take(
             take.time,

@@ -21,7 +21,7 @@ from kinefilter import Avatar
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.lab.accuracy import LIMBS
+from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.simulation import SimulatedView, simulate_session
 from kinefilter.pipeline.live.fusing import FusedPerson
 from kinefilter.pipeline.live.live_config import LiveConfig
@@ -99,11 +99,7 @@ def alone(take: Take) -> Array:
 
 def error(positions: Array, truth: Array, take: Take) -> float:
     """Return the mean distance of limb joints from the truth [m], hips taken off."""
-    joints = [take.skeleton.index(joint) for joint in LIMBS]
-    hips = list(take.skeleton.hips)
-    there = [p - p[:, hips].mean(axis=1, keepdims=True) for p in (positions, truth)]
-    away = np.linalg.norm((there[0] - there[1])[:, joints], axis=2)
-    return float(np.nanmean(away))
+    return float(np.nanmean(Accuracy(take.skeleton).distances(positions, truth)))
 
 
 def cleaned(seen: Sequence[SimulatedView]) -> float:

@@ -11,14 +11,13 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
-from kinefilter import read_take
-from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter import read_take, scenes
 from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, SeenBody, format_frame
 
-SAMPLE = read_take(sample_path())
+SAMPLE = read_take(scenes.SAMPLE)
 UDP, WS = "udp://127.0.0.1:0", "ws://127.0.0.1:0"
 PATIENCE = 30.0  # s after which a test that waits has failed
 

@@ -231,13 +231,7 @@ def test_a_picture_that_cannot_be_made_is_told(
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(output, "_animate", refuse)
-    monkeypatch.setattr(output, "_PAGES", tmp_path / "pages.py")
     told = list(output.make_pictures(tmp_path))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_script_that_pictures_pages_is_in_the_checkout() -> None:
-    assert ROOT / "tests" / "pictures" / "pages.py" == output._PAGES
-    assert output._PAGES.is_file()

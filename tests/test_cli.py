@@ -20,10 +20,9 @@ from kinefilter.pipeline.cli import COMMANDS, main
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
 from kinefilter.pipeline.lab import bench
-from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.scenes import SAMPLE
 
 ROOT = Path(__file__).parents[1]
-SAMPLE = sample_path()
 
 
 def _refused(

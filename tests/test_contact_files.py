@@ -23,14 +23,13 @@ from kinefilter.pipeline.formats import (
     write_clip,
     write_contacts,
 )
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.target.feet import planted_feet
+from kinefilter.scenes import SAMPLE
 
 MakeClip = Callable[..., Clip]
 Array = NDArray[np.float64]
 
 HEADER = "time,HeelLeft,ToeLeft,HeelRight,ToeRight\n"
-SAMPLE = sample_path()
 QUICK = ["--method", "none", "--no-physics"]
 
 

@@ -31,10 +31,10 @@ from kinefilter.pipeline.formats import (
 from kinefilter.pipeline.formats.clips import target_rig
 from kinefilter.pipeline.formats.glb import _keys
 from kinefilter.pipeline.formats.rig import retargeted_motion
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.retarget.retargeting import retarget
 from kinefilter.retarget.rig_map import RIGS
+from kinefilter.scenes import SAMPLE
 
 MakeClip = Callable[..., Clip]
 Furnish = Callable[[Clip], Clip]
@@ -108,7 +108,7 @@ def test_it_gives_back_where_every_joint_came_from(
 
 def test_its_take_is_known_again(tmp_path: Path) -> None:
     """Minutes from its beginning, which is not 0, and with repeated stamps."""
-    one = read_take(sample_path())
+    one = read_take(SAMPLE)
     some = np.sort(np.r_[np.arange(60), np.arange(0, 60, 7)])
     take = one.at(some)
     late = np.where(some < 30, 100.0, 180.0)

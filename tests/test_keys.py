@@ -23,8 +23,8 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
 from kinefilter.pipeline.formats.keys import sparse_curves
 from kinefilter.pipeline.formats.rig import rig_of
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
+from kinefilter.scenes import SAMPLE
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]
@@ -104,7 +104,7 @@ def test_what_does_not_move_keeps_two_keys(make_clip: MakeClip, tmp_path: Path) 
 
 
 def test_an_ordinary_take_keeps_a_fifth_of_its_keys(tmp_path: Path) -> None:
-    clip = clean(read_take(sample_path())).clip
+    clip = clean(read_take(SAMPLE)).clip
     write_clip(clip, tmp_path / "whole.glb")
     write_clip(clip, tmp_path / "clip.glb", Export(keys=1.0))
     whole, few = (
@@ -115,7 +115,7 @@ def test_an_ordinary_take_keeps_a_fifth_of_its_keys(tmp_path: Path) -> None:
     away, angle = apart(clip, read_clip(tmp_path / "clip.glb"))
     assert 0.9e-3 < away < 1e-3
     assert angle < 0.5
-    shown = compare(read_clip(tmp_path / "clip.glb"), read_take(sample_path()))
+    shown = compare(read_clip(tmp_path / "clip.glb"), read_take(SAMPLE))
     np.testing.assert_allclose(shown.clip.positions, clip.positions, atol=1e-3)
     write_clip(clip.at(slice(1)), tmp_path / "still.glb", Export(keys=1.0))
     once, ten_seconds = (
@@ -140,7 +140,7 @@ def test_blender_makes_the_same_curves_of_the_keys_alone(
 
 def test_curves_do_not_swing_where_frames_are_missing() -> None:
     """Ahead at full speed, then nothing for four seconds, then ahead again."""
-    rig = rig_of(clean(read_take(sample_path()).at(slice(40))).clip.body)
+    rig = rig_of(clean(read_take(SAMPLE).at(slice(40))).clip.body)
     stamps = np.r_[np.arange(10), 130 + np.arange(10)] / 30.0
     path = np.zeros((20, 3))
     path[:, 2] = np.r_[np.arange(10), 9, 10 + np.arange(9)] * 0.05
@@ -180,7 +180,7 @@ def test_formats_with_a_key_in_every_frame_say_what_has_fewer(
 
 
 def test_keys_are_left_out_of_what_is_cleaned_without_physics(tmp_path: Path) -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     clip = clean(take, CleanConfig(physics=False)).clip
     write_clip(clip, tmp_path / "clip.glb", Export(keys=5.0, fps=24.0))
     ways, times, _ = zip(*samplers(tmp_path / "clip.glb"), strict=True)

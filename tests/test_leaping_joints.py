@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from kinefilter import Avatar, CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, Body, Take, standard_body
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
+from kinefilter.scenes import SAMPLE
 
 DEEPEST = 0.01 + 1e-6  # m, and rounding
 
 
 def damaged(seed: int) -> Take:
     """Return 20 recorded frames in which some 30 coordinates are any of a few."""
-    take, rng = read_take(sample_path()), np.random.default_rng(seed)
+    take, rng = read_take(SAMPLE), np.random.default_rng(seed)
     positions = take.positions[40:60].copy()
     places = rng.choice(positions.size, 30, replace=False)
     positions.reshape(-1)[places] = rng.choice([0.0, -1.5, 3.7, 12.0, 40.0], 30)

@@ -20,11 +20,10 @@ import pytest
 import tyro
 from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
-from kinefilter import read_take
+from kinefilter import read_take, scenes
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.live import Live, Replay, status, summary
 from kinefilter.pipeline.commands.terminal import stopped_by_signals
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.live_session import Session
@@ -115,9 +114,9 @@ def test_help_and_import_load_neither_sockets_nor_physics() -> None:
         ["live", "--in", "-", "--out", "-", "--token-file", "absent"],
         ["live", "--in", "-", "--out", "-", "--floor", "nan"],
         ["replay", "absent.csv", "--out", "-"],
-        ["replay", str(sample_path()), "--out", "vmc://127.0.0.1:1"],
-        ["replay", str(sample_path()), "--out", "-", "--speed", "0"],
-        ["replay", str(sample_path()), "--out", "udp://no.such.host.invalid:1"],
+        ["replay", str(scenes.SAMPLE), "--out", "vmc://127.0.0.1:1"],
+        ["replay", str(scenes.SAMPLE), "--out", "-", "--speed", "0"],
+        ["replay", str(scenes.SAMPLE), "--out", "udp://no.such.host.invalid:1"],
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line_with_code_2(

@@ -20,11 +20,11 @@ from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare, read_comparison
 from kinefilter.pipeline.look.page import parse_limit, write_report
 from kinefilter.pipeline.metrics import METRICS, distances
 from kinefilter.pipeline.target.floor import leveled
+from kinefilter.scenes import SAMPLE
 
 Pair = tuple[Clip, Take]
 MakePair = Callable[..., Pair]
@@ -165,7 +165,7 @@ def test_repeated_time_stamps_count_once(make_pair: MakePair) -> None:
 
 
 def test_the_metrics_are_those_that_clean_printed() -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     result = clean(take)
     found = compare(result.clip, take)
     for figures, stage in ((found.before, "raw"), (found.after, "physics")):
@@ -180,10 +180,10 @@ def test_the_metrics_are_those_that_clean_printed() -> None:
 def test_clips_of_other_kinds_have_nearly_the_metrics_of_the_whole_clip(
     suffix: str, tmp_path: Path
 ) -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     clip = clean(take, CleanConfig(physics=False)).clip
     write_clip(clip, tmp_path / f"clip{suffix}")
-    found = read_comparison(tmp_path / f"clip{suffix}", sample_path())
+    found = read_comparison(tmp_path / f"clip{suffix}", SAMPLE)
     expected = compare(clip, take)
     for name in ("jitter", "peak_hand_speed", "moved_cm"):
         assert found.after[name] == pytest.approx(expected.after[name], rel=0.1)
@@ -231,7 +231,7 @@ def test_the_page_of_five_minutes_is_under_15_mb(
 
 def test_clean_writes_the_page_that_report_writes(tmp_path: Path) -> None:
     clip, pages = str(tmp_path / "clip.npz"), [tmp_path / f"{k}.html" for k in (1, 2)]
-    sample = str(sample_path())
+    sample = str(SAMPLE)
     assert main(["clean", sample, "-o", clip, "--report", str(pages[0])]) == 0
     assert main(["report", clip, "--take", sample, "-o", str(pages[1])]) == 0
     assert pages[0].read_bytes() == pages[1].read_bytes()

@@ -8,7 +8,7 @@ import pytest
 from browser import Browser
 
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.scenes import SAMPLE
 
 _PIXELS = "return document.getElementById('figures').toDataURL()"
 
@@ -17,8 +17,8 @@ _PIXELS = "return document.getElementById('figures').toDataURL()"
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     clip, path = str(folder / "clip.npz"), folder / "report.html"
-    assert main(["clean", str(sample_path()), "-o", clip]) == 0
-    assert main(["report", clip, "--take", str(sample_path()), "-o", str(path)]) == 0
+    assert main(["clean", str(SAMPLE), "-o", clip]) == 0
+    assert main(["report", clip, "--take", str(SAMPLE), "-o", str(path)]) == 0
     return path
 
 

@@ -20,7 +20,6 @@ from kinefilter.characters.arrays import Flags
 from kinefilter.pipeline.edits import FEET, Edit, EditsFile, read_edits, with_contacts
 from kinefilter.pipeline.failures import Failure, FailureKind
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import read_comparison, same_times
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.edit_history import EditHistory
@@ -28,6 +27,7 @@ from kinefilter.pipeline.look.playhead import Playback
 from kinefilter.pipeline.look.timelines import Curves, timeline_html
 from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
+from kinefilter.scenes import SAMPLE
 
 QUICK = CleanConfig(method="none", physics=False)
 TIME = np.array([5.0, 5.1, 5.2, 5.2, 5.5, 5.6])  # a repeated stamp and a gap
@@ -271,7 +271,7 @@ def test_the_status_names_the_least_reliable_joint_and_the_force(
 
 
 def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     result = clean(take, CleanConfig())
     drawing = Drawing.of(result, take)
     assert drawing.target is not None
@@ -290,7 +290,7 @@ def test_a_take_is_viewed_with_its_target_where_the_clip_is() -> None:
 
 
 def test_without_physics_there_is_no_force_and_no_second_figure() -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     drawing = Drawing.of(clean(take, QUICK), take)
     assert drawing.target is None
     assert drawing.layers.keys() == {"skin", "raw", "cleaned", "contacts"}
@@ -307,7 +307,7 @@ def test_the_take_beside_a_clip_never_touches_it(make_clip: MakeClip) -> None:
 
 
 def test_a_clip_is_read_with_its_take(tmp_path: Path) -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     result = clean(take, QUICK)
     clip, expected = result.clip, Drawing.of(result, take).raw
     for suffix, off in (
@@ -318,7 +318,7 @@ def test_a_clip_is_read_with_its_take(tmp_path: Path) -> None:
     ):
         path = tmp_path / f"clip{suffix}"
         write_clip(clip, path)
-        drawing = read_comparison(path, sample_path())
+        drawing = read_comparison(path, SAMPLE)
         np.testing.assert_allclose(drawing.raw, expected, atol=off)
         away = np.linalg.norm(drawing.clip.positions - clip.positions, axis=2)
         assert away.mean() < off, suffix

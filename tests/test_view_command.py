@@ -24,10 +24,10 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.sheets import write_contacts
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.look.viewer_server import may_connect, opened_server
+from kinefilter.scenes import SAMPLE
 
 QUICK = CleanConfig(method="none", physics=False)
 
@@ -122,18 +122,18 @@ def _refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.fixture(scope="module")
 def clip_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("view") / "clip.npz"
-    write_clip(clean(read_take(sample_path()), QUICK).clip, path)
+    write_clip(clean(read_take(SAMPLE), QUICK).clip, path)
     return path
 
 
 def test_what_cannot_be_viewed_is_refused_in_one_line(
     clip_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    clip, take = str(clip_path), str(sample_path())
+    clip, take = str(clip_path), str(SAMPLE)
     contacts = tmp_path / "take.contacts.csv"
     write_contacts(read_finite_clip(clip_path), contacts)
     copied = tmp_path / "malformed.csv"
-    copied.write_bytes(sample_path().read_bytes())
+    copied.write_bytes(SAMPLE.read_bytes())
     copied.with_suffix(".edits.toml").write_text("oddly = 1", encoding="utf-8")
     for arguments, words in (
         ([str(tmp_path / "absent.npz")], "no such file"),
@@ -164,7 +164,7 @@ def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
     takes, clips = tmp_path / "takes", tmp_path / "clips"
     takes.mkdir()
     for name in ("one", "two", "three"):
-        (takes / f"{name}.csv").write_bytes(sample_path().read_bytes())
+        (takes / f"{name}.csv").write_bytes(SAMPLE.read_bytes())
     quick = ["--method", "none", "--no-physics", "--to", "npz"]
     assert main(["batch", str(takes), "-o", str(clips), "--jobs", "1", *quick]) == 0
     (clips / "two.npz").unlink()
@@ -233,7 +233,7 @@ def test_without_viser_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert 'pip install "kinefilter[view]"' in _refused([str(sample_path())], capsys)
+    assert 'pip install "kinefilter[view]"' in _refused([str(SAMPLE)], capsys)
 
 
 @pytest.mark.usefixtures("interruptible")

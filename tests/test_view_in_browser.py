@@ -23,13 +23,13 @@ from viewing import viewing
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
 from kinefilter.pipeline.batch import clean_files, read_rows
 from kinefilter.pipeline.edits import Edit, read_edits
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.viewer import CleanAgain, Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.settings import Settings, hash_of
+from kinefilter.scenes import SAMPLE
 
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
 _PATIENCE = 60.0  # s: WebGL on a busy processor is slow
@@ -57,7 +57,7 @@ _LISTED = "return [...document.querySelectorAll('input')].map((i) => i.value).jo
 
 @pytest.fixture(scope="module")
 def viewed() -> Drawing:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     return Drawing.of(clean(take), take)
 
 
@@ -68,7 +68,7 @@ def saved(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
-    take, cleaner = read_take(sample_path()), Cleaner()
+    take, cleaner = read_take(SAMPLE), Cleaner()
     before = cleaner.unedited(take)
 
     def again(edits: Sequence[Edit], progress: Progress) -> Drawing:
@@ -165,7 +165,7 @@ def test_the_curves_of_a_joint_are_drawn_in_their_folder(page: Browser) -> None:
 def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
     page: Browser, saved: Path
 ) -> None:
-    take = read_take(sample_path())
+    take = read_take(SAMPLE)
     bars = (
         "return [...document.querySelectorAll('#timeline .row')]"
         ".map((row) => row.getAttribute('d'))"
@@ -208,7 +208,7 @@ def test_a_listed_take_is_cleaned_again_in_the_folder_of_its_batch(
 ) -> None:
     takes, clips = tmp_path / "takes", tmp_path / "clips"
     takes.mkdir()
-    (takes / "wave.csv").write_bytes(sample_path().read_bytes())
+    (takes / "wave.csv").write_bytes(SAMPLE.read_bytes())
     quick = Settings(CleanConfig(method="none", physics=False))
     once = clean_files([str(takes)], str(clips), quick, suffix=".npz").rows[0].clips[0]
     with viewing([str(clips), "--take", str(takes)]) as (_, address):
@@ -225,7 +225,7 @@ def test_a_listed_take_is_cleaned_again_in_the_folder_of_its_batch(
         browser.run(_PRESS, "Save and clean again")
         _wait(lambda: "wave.csv: there is no such file" in browser.run(_TEXT))
     assert read_rows(clips) == [row]
-    (takes / "wave.csv").write_bytes(sample_path().read_bytes())
+    (takes / "wave.csv").write_bytes(SAMPLE.read_bytes())
     again = clean_files([str(takes)], str(clips), quick, suffix=".npz")
     assert again.rows == []
 

@@ -156,7 +156,7 @@ def test_a_prop_that_does_not_fit_is_refused(
 ) -> None:
     scene = room_with("box", (0.1, 0.1, 0.1))
     with pytest.raises(InputError, match=message):
-        look(posed(), Sensor(), scene=scene, prop_poses=poses)
+        observe(posed(), seed=0, scene=scene, prop_poses=poses)
 
 
 def test_the_scene_handed_over_is_not_changed() -> None:

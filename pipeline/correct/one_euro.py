@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -15,32 +15,27 @@ from .interface import Correction, Corrector, Observation
 _LEAST_STEP = 1e-3  # s: avoids a division by zero at repeated time stamps
 
 
+@dataclass(eq=False, repr=False)
 class OneEuro(Corrector):
     """Low-pass filter whose cutoff rises with speed: steady at rest, prompt in motion.
 
     Casiez, Roussel & Vogel 2012, 1 Euro Filter, CHI '12. The three coordinates of a
     joint share one cutoff, so the result does not depend on the axes. Missing joints
     keep their last bones; joints not measured yet are placed as in the rest pose.
-
-    Args:
-        min_cutoff: Cutoff at rest [Hz].
-        beta: Rise of the cutoff with speed [1/m]. In steady motion a joint lags by
-            less than 1 / (2 pi beta).
-        derivative_cutoff: Cutoff of the speed itself [Hz].
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        min_cutoff: float = 1.0,
-        beta: float = 16.0,
-        derivative_cutoff: float = 1.0,
-    ) -> None:
-        self.skeleton = skeleton
-        self.min_cutoff, self.beta = min_cutoff, beta
-        self.derivative_cutoff = derivative_cutoff
-        self._hold = Hold(skeleton)
+    skeleton: Skeleton
+    _: KW_ONLY
+    min_cutoff: float = 1.0
+    """Cutoff at rest [Hz]."""
+    beta: float = 16.0
+    """Rise of the cutoff with speed [1/m]. In steady motion a joint lags by less than
+    1 / (2 pi beta)."""
+    derivative_cutoff: float = 1.0
+    """Cutoff of the speed itself [Hz]."""
+
+    def __post_init__(self) -> None:
+        self._hold = Hold(self.skeleton)
         self.start()
 
     def start(self) -> None:

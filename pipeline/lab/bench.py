@@ -59,17 +59,12 @@ class Timed(Stage):
         self.seconds.append(perf_counter() - begun)
 
 
-def sample_path() -> Path:
-    """Return the path of the sample take that ships with kinefilter."""
-    return SAMPLE
-
-
 def bench(path: Path | None = None) -> dict[str, Any]:
     """Return milliseconds per frame of every stage, and compare the two searches.
 
     ``path`` is the take to clean, by default the sample that ships with kinefilter.
     """
-    take = read_take(path or sample_path())
+    take = read_take(path or SAMPLE)
     return {
         **_time_stages(take),
         "search": _compare_searches(take, LocalPCA(builtin_database(take.skeleton))),

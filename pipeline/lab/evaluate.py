@@ -31,13 +31,6 @@ from .bench import Timed
 from .database_build import database_from_pairs
 from .systems import CorrectorFactory, System, as_step, systems_of
 
-_ABLATIONS = {
-    "local-gp": (
-        *("local-gp:temporal=0:reliability=0", "local-gp:reliability=0"),
-        "local-gp:temporal=0",
-    ),
-    "local-pca": ("nearest", "no-reliability"),
-}
 _FEWEST_FOR_PROCESSES = 100  # cleaned clips from which starting processes pays off
 Protocol = Literal["people", "movements", "repetitions"]
 LEARNED_REPETITIONS = 7  # protocol repetitions tests on those after e07
@@ -53,7 +46,6 @@ def evaluate(
     presets: Sequence[str] = (),
     assigned: Sequence[str] = (),
     physics: bool = True,
-    ablation: bool = False,
     database: PostureDatabase | Literal["mocap"] | None = None,
     every: int = 1,
     progress: Progress = silent,
@@ -66,9 +58,7 @@ def evaluate(
     Arguments are the options of ``kinefilter evaluate``, which explains them, with
     clips in place of files; ``assigned`` is its ``--set``, and ``every`` tests every
     Nth clip only. ``database`` is by default the built-in one, and with ``mocap`` made
-    of the training clips. With ``ablation``, ``local-gp`` is also measured without
-    terms of its energy (Liu 2016, Table 5), and Shum's methods A and B, ``nearest``
-    and ``no-reliability``, beside ``local-pca``.
+    of the training clips.
 
     Raises:
         InputError: A method is unknown, or people or repetitions are too few.
@@ -85,8 +75,6 @@ def evaluate(
     check_choice(protocol, get_args(Protocol), "protocol")
     if not isinstance(database, PostureDatabase | None):
         check_choice(database, ("mocap",), "database")
-    parts = [p for m in methods for p in _ABLATIONS.get(m, ()) if ablation]
-    methods = [*methods, *(part for part in parts if part not in methods)]
     systems = systems_of(methods, presets, assigned, physics=physics)
     step = as_step(every)
     folds = [(known, new[::step]) for known, new in folds_of(train, test, protocol)]

@@ -7,7 +7,6 @@ then the lag is refined by minimizing the motion that one rigid transform leaves
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ def distances(track: Track) -> Array:
     """Return distances between all joints [m], 1/_RATE s apart, (N, J (J - 1) / 2)."""
     count = int((track.time[-1] - track.time[0]) * _RATE) + 1
     positions = track.at(track.time[0] + np.arange(count) / _RATE)
-    one, other = np.array(list(combinations(range(positions.shape[1]), 2))).T
+    one, other = np.triu_indices(positions.shape[1], 1)
     apart = positions[:, one] - positions[:, other]
     return np.asarray(np.linalg.norm(apart, axis=2))
 

@@ -38,10 +38,10 @@ def lessons(
         for k, joints in enumerate(LIMBS.values()):
             for joint in joints:
                 j = side.skeleton.index(joint)
-                part = joint.removesuffix("Left").removesuffix("Right")
                 kept = sure[:, k] & ~np.isnan(away[:, j])
                 wrong = away[kept, j] > FAR
                 names = np.repeat(session.name, len(wrong))
+                part = side.skeleton.kinds[j]
                 rows[part].append((features[kept, j], wrong, names))
     data = {}
     for part, found in rows.items():

@@ -19,7 +19,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.floor import clearances
 from kinefilter.retarget import (
@@ -67,18 +67,14 @@ class Pair:
 
 def pairs_of(file: Path, every: int = 1) -> Iterator[Pair]:
     """Yield a person's clips whose mocap has every joint, after gaps are filled."""
-    with np.load(file, allow_pickle=False) as arrays:
-        data = {k: arrays[k] for k in ("clip", "kinect", "mocap", "start", "stop")}
-    spans = zip(data["clip"], data["start"], data["stop"], strict=True)
-    for clip, start, stop in list(spans)[::every]:
-        mocap = _completed(data["mocap"][start:stop].astype(float))
+    shift = np.array([0.0, 0.0, DISTANCE])
+    for pair in read_pairs(file)[::every]:
+        mocap = _completed(pair.truth) + shift
         if np.isfinite(mocap).all():
-            shift = np.array([0.0, 0.0, DISTANCE])
-            kinect = data["kinect"][start:stop].astype(float) + shift
-            mocap += shift
             lengths = np.median(segment_lengths(mocap, KINECT_V1), axis=0)
-            body, time = measured_body(KINECT_V1, lengths), np.arange(len(mocap)) / 30.0
-            yield Pair(str(clip), kinect, mocap, _motion(time, mocap, body, str(clip)))
+            body = measured_body(KINECT_V1, lengths)
+            act = _motion(pair.take.time, mocap, body, pair.clip)
+            yield Pair(pair.clip, pair.take.positions + shift, mocap, act)
 
 
 def seen_by(pair: Pair, tracker: Tracker = "model") -> Pair:

@@ -150,7 +150,7 @@ class CorrectorFactory:
         method = METHODS[name]
         of_skeleton = method.requires == "skeleton"
         basis = self._skeleton if of_skeleton else self._database
-        corrector: Corrector = method.load()(basis, **settings)
+        corrector: Corrector = method.make(basis, **settings)
         return corrector
 
     def _trained(

@@ -94,10 +94,9 @@ def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
     index = float(np.clip(rng.normal(*_MASS_INDEX), 18.5, 30.0))
     scale = {part: 1.0 + sd * rng.normal() for part, sd in _BUILD.items()}
     body = standard_body(skeleton, height=height, mass=index * height**2)
-    parts = [j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints]
     factors = [
-        scale["trunk"] if part == joint else scale.get(part, 1.0)
-        for part, joint in zip(parts, skeleton.joints, strict=True)
+        scale["trunk"] if kind == joint else scale.get(kind, 1.0)
+        for kind, joint in zip(skeleton.kinds, skeleton.joints, strict=True)
     ]
     return replace(body, lengths=body.lengths * np.array(factors))
 

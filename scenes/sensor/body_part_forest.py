@@ -20,7 +20,7 @@ from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.arrays import Array, Codes, Flags, Indices, Singles
 
 from .depth_image import BACKGROUND, DepthImage
-from .tracker_errors import V1_NAMES, stem
+from .tracker_errors import V1_NAMES
 
 BODY_PARTS = (*KINECT_V2.joints, "between")
 """Names of the body parts, after the joints at their centers; the last one is skin
@@ -120,6 +120,7 @@ def parts_of_joints(skeleton: Skeleton) -> Flags:
     joints = skeleton.joints
     belongs = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)
     for p, name in enumerate(KINECT_V2.joints):
-        v1_name = V1_NAMES.get(stem(name), stem(name)) + name.removeprefix(stem(name))
+        kind = KINECT_V2.kinds[p]
+        v1_name = V1_NAMES.get(kind, kind) + name.removeprefix(kind)
         belongs[p, joints.index(name if name in joints else v1_name)] = True
     return belongs

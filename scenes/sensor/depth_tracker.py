@@ -24,7 +24,7 @@ from kinefilter.characters.arrays import Array, Codes
 from .body_part_forest import BodyPartForest, parts_of_joints, shipped_forest
 from .depth_image import DepthCamera, DepthImage, with_noise
 from .geometry import Sensor
-from .ray_casting import PosedBody, check_prop_poses
+from .ray_casting import PosedBody
 
 _SAMPLES = 64  # points of skin that represent a body part
 _STARTS = 8  # of them from which mean shift starts
@@ -95,7 +95,7 @@ def track_in_depth(
     sensor: Sensor,
     rng: Generator,
     scene: mujoco.MjSpec | None,
-    prop_poses: Mapping[str, Array] | None,
+    prop_poses: Mapping[str, Array],
 ) -> tuple[Array, Codes]:
     """Find joints in depth images of a motion.
 
@@ -104,15 +104,13 @@ def track_in_depth(
     ``prop_poses`` are as in ``observe`` and raise the same errors.
     """
     forest, skeleton = shipped_forest(), motion.skeleton
-    prop_poses = prop_poses or {}
-    check_prop_poses(motion, prop_poses)
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = joint_constants(forest, skeleton)
     positions = np.full(motion.positions.shape, np.nan)
     state = np.full(positions.shape[:2], State.NOT_TRACKED, dtype=np.uint8)
     skin = None
     for t, joints in enumerate(motion.positions):
-        props = [np.asarray(poses[t], float) for poses in prop_poses.values()]
+        props = [poses[t] for poses in prop_poses.values()]
         image = with_noise(camera.take(joints, motion.rotations[t], props), sensor, rng)
         skin, area = propose(image, forest, skeleton, skin)
         if area.any():

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters import KINECT_V1, Motion, State, Take, standard_body
-from kinefilter.characters.arrays import Array, check_choice
+from kinefilter.characters.arrays import Array, as_numbers, check_choice
 from kinefilter.scenes.library.performers import perform_medley
 
 from .depth_tracker import track_in_depth
@@ -65,12 +65,17 @@ def observe(
     """
     check_choice(tracker, get_args(Tracker), "tracker")
     sensor, errors = sensor or Sensor(), errors or TrackerErrors()
+    shape, of = (len(motion), 7), ": position and quaternion (wxyz) in every frame"
+    props = {
+        name: as_numbers(poses, f"the pose of prop {name!r}", shape, of).astype(float)
+        for name, poses in (prop_poses or {}).items()
+    }
     rng = np.random.default_rng([seed, 0])
     if tracker == "depth":
-        positions, state = track_in_depth(motion, sensor, rng, scene, prop_poses)
+        positions, state = track_in_depth(motion, sensor, rng, scene, props)
     else:
         identity = np.random.default_rng([seed if person is None else person, 1])
-        sight = look(motion, sensor, scene=scene, prop_poses=prop_poses)
+        sight = look(motion, sensor, scene=scene, prop_poses=props)
         placed = with_position_errors(
             motion, sight, sensor, errors, rng=rng, person=identity
         )

@@ -6,13 +6,13 @@ has it. MuJoCo casts the rays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, InputError, Motion
+from kinefilter.characters import Body, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 
@@ -21,16 +21,6 @@ _HIP_BREADTH = 0.191
 _TRUNK = ("Spine", "HipCenter", "ShoulderCenter")  # starts of the trunk's joints
 _FAR = 20.0  # m: beyond any Kinect's range
 _PREFIX = "seen:"  # keeps the names of segments apart from those of the scene
-
-
-def check_prop_poses(motion: Motion, prop_poses: Mapping[str, Array]) -> None:
-    """Raise an InputError if poses of props do not fit the motion."""
-    for name, poses in prop_poses.items():
-        if np.shape(poses) != (len(motion), 7):
-            raise InputError(
-                f"poses of prop {name!r} have shape {np.shape(poses)}, expected "
-                f"{(len(motion), 7)}: position and quaternion (wxyz) in every frame"
-            )
 
 
 class PosedBody:

@@ -140,13 +140,8 @@ class TrackerErrors:
     face the sensor."""
 
 
-def stem(joint: str) -> str:
-    """Return the name of a joint without its side."""
-    return joint.removesuffix("Left").removesuffix("Right")
-
-
 def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
-    return [_JOINTS[V1_NAMES.get(s, s)] for s in map(stem, skeleton.joints)]
+    return [_JOINTS[V1_NAMES.get(kind, kind)] for kind in skeleton.kinds]
 
 
 def joint_offsets(skeleton: Skeleton) -> Array:

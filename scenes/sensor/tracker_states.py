@@ -11,7 +11,7 @@ from kinefilter.characters.rotations import rotate, unit
 from kinefilter.characters.skeleton import SIDES
 
 from .geometry import Sensor, in_world_frame
-from .tracker_errors import TrackerErrors, slow_noise, stem, velocities
+from .tracker_errors import TrackerErrors, slow_noise, velocities
 from .visibility import Sight
 
 _NEEDED = {
@@ -64,7 +64,7 @@ def tracking_states(
     from_root = motion.positions - motion.positions[:, [skeleton.root]]
     speed = np.linalg.norm(velocities(from_root, motion.fps), axis=-1)
     visible = sight.visible - errors.merging * sight.merged - errors.fast * speed
-    needed = [_NEEDED.get(stem(j), _NEEDED_OF_TRUNK) for j in skeleton.joints]
+    needed = [_NEEDED.get(kind, _NEEDED_OF_TRUNK) for kind in skeleton.kinds]
     tracked = visible + errors.doubt * doubt > errors.trust + np.array(needed)
     state = np.where(tracked, State.TRACKED, State.INFERRED)
     return np.where(in_view, state, State.NOT_TRACKED).astype(np.uint8)
@@ -116,9 +116,8 @@ def _usual_offsets(motion: Motion) -> Array:
     """Joints relative to their parents in a person who stands, arms down [m]."""
     body = motion.body
     usual = body.rest_offsets.copy()
-    for j, joint in enumerate(body.skeleton.joints):
-        if stem(joint) in _ARM:
-            usual[j] = [0.0, -body.lengths[j], 0.0]
+    arm = np.isin(body.skeleton.kinds, _ARM)
+    usual[arm] = body.lengths[arm, None] * [0.0, -1.0, 0.0]
     return rotate(motion.rotations[:, body.skeleton.root, None], usual)
 
 

@@ -20,7 +20,7 @@ from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.rotations import IDENTITY, unit
 
 from .geometry import Sensor, in_world_frame, sensor_axes
-from .ray_casting import PosedBody, check_prop_poses
+from .ray_casting import PosedBody
 
 _DISK_RAYS = 24
 _RING_RAYS = 12
@@ -63,16 +63,11 @@ def look(
 ) -> Sight:
     """Return how much of each joint of a motion a sensor sees.
 
-    ``scene`` and ``prop_poses`` are those of ``observe``.
-
-    Raises:
-        InputError: A moving prop is not a direct child of the scene's worldbody, or its
-            poses do not fit the motion.
+    ``scene`` and ``prop_poses`` are those of ``observe``, and so are errors in them.
     """
-    prop_poses = prop_poses or {}
-    check_prop_poses(motion, prop_poses)
-    scanner = _Scanner(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
-    moving = [np.asarray(poses, float) for poses in prop_poses.values()]
+    props = prop_poses or {}
+    scanner = _Scanner(PosedBody(motion.body, scene, tuple(props)), sensor)
+    moving = props.values()
     parts = [
         scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
         for c in chunks(len(motion), _CHUNK)

@@ -22,13 +22,13 @@ from browser import Browser
 
 from kinefilter import clean, read_take
 from kinefilter.characters import Clip, Take
-from kinefilter.pipeline.lab.bench import sample_path
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.page import write_report
 from kinefilter.pipeline.look.viewer import Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.workers import one_thread
+from kinefilter.scenes import SAMPLE
 
 VIEW, REPORT = (1040, 730), (1060, 1040)  # pixels of the windows, their bars included
 FRAME = 75  # of the sample take: the punch, with the wrist out of place
@@ -94,7 +94,7 @@ def write(browser: Browser, out: Path) -> None:
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     with one_thread():
-        path = sample_path()
+        path = SAMPLE
         sample = replace(read_take(path), source=path.name)
         motion = take_view(sample, folder / "view.png")
         take_report(motion, sample, folder / "report.png")

@@ -28,7 +28,7 @@ from browser import Browser
 
 from kinefilter import clean, read_take
 from kinefilter.pipeline.formats import Export, write_clip
-from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.scenes import SAMPLE
 
 SIZE = 500, 480  # pixels of each half
 BARS = 160  # of a window, which is that much larger than its page
@@ -105,7 +105,7 @@ def in_blender(folder: Path) -> Image.Image:
 
 
 if __name__ == "__main__":
-    clip = clean(read_take(sample_path())).clip
+    clip = clean(read_take(SAMPLE)).clip
     blender = os.environ["KINEFILTER_BLENDER"]
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)

@@ -17,6 +17,7 @@ from kinefilter.pipeline.commands.terminal import (
     write_json,
 )
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.formats.files import make_folder
 
 from . import clips_of
 
@@ -25,7 +26,7 @@ _METHODS = (
     "full-gp,local-gp,clustered-gp,learned"
 )
 _FOR_HIDING = ("gap", "guess", "context", "live", "by")
-_FOR_METHODS = ("test", "protocol", "ablation", "database", "mocap_database")
+_FOR_METHODS = ("test", "protocol", "database", "mocap_database")
 _UNUSED = {
     "evaluate without --hide": (*_FOR_HIDING, "sync"),
     "--hide": (*_FOR_METHODS, "sync"),
@@ -55,7 +56,7 @@ class Evaluate:
 
     Presets are the papers' systems, without the stages that a paper lacks. Methods can
     be chained, as in learned+local-pca, and can have parameters of their own, as in
-    local-pca:neighbors=30.
+    local-pca:neighbors=30, or local-gp:temporal=0 without a term of its energy.
 
     With --hide, a limb is hidden in the middle of each clip of PAIRS, and its joints
     are compared with the clip cleaned with nothing hidden, and with mocap. For
@@ -92,9 +93,6 @@ class Evaluate:
     of which is in it; or on new repetitions by the people in it."""
     physics: bool = True
     """Pull the simulated character through the corrected motion, as clean does."""
-    ablation: bool = False
-    """Also measure methods without some of their parts: local-gp without terms of its
-    energy (Liu 2016, Table 5), and Shum's methods A and B beside local-pca."""
     database: Path | None = None
     """Motion database (.npz) for methods that need one; default: the built-in one,
     which the method default always uses."""
@@ -171,7 +169,6 @@ class Evaluate:
                 assigned=self.set,
                 protocol=self.protocol,
                 physics=self.physics,
-                ablation=self.ablation,
                 database=database,
                 every=self.every,
                 progress=progress,
@@ -247,10 +244,10 @@ class Reproduce:
     as in figure 6 of Shum and of Liu, use kinefilter rate.
 
     Figures that README states are compared with the measured ones; the exit code is 1
-    if one does not hold. With --all, every study and picture is made, in over an hour
+    if one does not hold. With --all, every study and animation is made, in over an hour
     on two cores. Running it again makes only what is missing or was made with other
-    code or recordings. Needs pip install "kinefilter[reproduce]"; the animation
-    also needs OpenGL, pictures of pages need viser, Chromium and a checkout.
+    code or recordings. Needs pip install "kinefilter[reproduce]"; animations also need
+    OpenGL.
     """
 
     studies: Positional[tuple[str, ...]] = ()
@@ -284,8 +281,10 @@ class Reproduce:
         names = self.studies if self.all is None else tuple(studies.STUDIES)
         studies.check_names(names)
         studies.output.check_drawing()
-        studies.output.check_studies_folder(folder)
         data = studies.recordings_folder(self.data)
+        if not folder.is_dir():
+            check_output(folder)  # only the last folder may be missing
+        make_folder(folder)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
             if self.all is not None and studies.is_up_to_date(name, folder, stamp):

@@ -2,59 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Self, Unpack
+from typing import Any, Literal, Self
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from sklearn.neighbors import NearestNeighbors
 
-from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import Energy, FusedOffsets
+from .fused_offsets import FusedOffsets, Likelihood
 from .local_models import JointFeatures, JointKernels, fit_kernels
 from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
-# The prediction alone counts.
-_ENERGY: Energy = {"temporal": 0.0, "reliability": 0.0, "likelihood": "density"}
 _FOR_VARIANCE = 10  # nearest samples used for the bound on the variance
 _NO_OFFSET = 0.05  # weight of a zero offset, against 1 for an identical posture
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class FullGP(FusedOffsets):
     """Adds to each joint the offset predicted by one Gaussian process over all samples.
 
     Zhou, Liu, Leung & Shum 2014, "Posture reconstruction using Kinect with a
-    probabilistic model", VRST: the predecessor that Liu 2016 compares with.
-
-    Args:
-        samples: Maximum number of training frames.
-        variance: ``exact`` costs one product with an N x N matrix per joint and frame,
-            N being the number of samples; ``bound`` is an upper bound from the ten most
-            similar samples.
-        seed: Seed for drawing the training frames.
-        energy: Keywords of ``Energy``; by default only the prediction counts.
+    probabilistic model", VRST: the predecessor that Liu 2016 compares with. By default
+    only the prediction counts, not movement and reliability.
     """
+
+    samples: int = 2500
+    variance: Literal["exact", "bound"] = "bound"
+    """``exact`` costs one product with an N x N matrix per joint and frame, N being the
+    number of samples; ``bound`` is an upper bound from the ten most similar samples."""
+    temporal: float = 0.0
+    reliability: float = 0.0
+    likelihood: Likelihood = "density"
 
     fitted = (
         *("postures", "weights", "kernels", "joints", "seen", "movement", "misplaced"),
     )
     adjustable = (*FusedOffsets.adjustable, "variance")
-
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        samples: int = 2500,
-        variance: Literal["exact", "bound"] = "bound",
-        seed: int = 0,
-        **energy: Unpack[Energy],
-    ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed, **_ENERGY | energy)
-        self.variance = variance
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Train on pairs."""
@@ -132,31 +120,19 @@ class FullGP(FusedOffsets):
         return np.asarray(np.minimum(explained * (theta0 + noise) / theta0, 1.0))
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Exemplar(OffsetCorrector):
     """Adds the mean offset of the nearest postures, weighted by their similarity.
 
     After Shen, Deng, Bai, Leyvand, Guo & Tu 2012, "Exemplar-based human action pose
     correction and tagging", CVPR, as far as Liu 2016 compares with it.
-
-    Args:
-        samples: Maximum number of training frames.
-        neighbors: Number of postures averaged.
-        seed: Seed for drawing the training frames.
     """
 
+    samples: int = 10000
+    neighbors: int = 10
+    """Number of postures averaged."""
+    width_: Any = field(init=False)
     fitted = ("postures", "offsets", "joints", "seen", "width")
-    width_: Any
-
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        samples: int = 10000,
-        neighbors: int = 10,
-        seed: int = 0,
-    ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed)
-        self.neighbors = neighbors
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Store pairs as exemplars."""

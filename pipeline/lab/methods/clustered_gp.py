@@ -7,6 +7,7 @@ cluster centroids of reliable postures, restore limb lengths, undo the standardi
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Literal, Self
 
 import numpy as np
@@ -31,43 +32,37 @@ _UNLIKE = 0.003  # weight of an example of entirely different proportions
 _PEOPLE = 800  # examples of true and measured segment lengths
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class ClusteredGP(Learner):
     """Moves joints to where one process over the whole standardized posture puts them.
 
     By default the process models the difference of mocap and Kinect. Its prior mean is
     then the measurement, not the origin as in the paper, so that postures far from the
     training data stay as measured.
-
-    Args:
-        centroids: Q, number of clusters of training postures.
-        smallest_reliability: Minimum reliability of every joint of a training posture.
-        predicts: What the process models: ``offsets``, or mocap ``positions`` (eq. 5).
-        lengths: Bone lengths after correction: ``learned`` are those that mocap has for
-            people of similar proportions, ``own`` the person's own as Kinect measures
-            them (section 2.2).
-        seed: Seed for drawing the frames and initializing the clusters.
     """
+
+    skeleton: Skeleton = field(kw_only=False)
+    centroids: int = 800
+    """Q, number of clusters of training postures."""
+    smallest_reliability: float = 0.7
+    """Minimum reliability of every joint of a training posture."""
+    predicts: Literal["offsets", "positions"] = "offsets"
+    """What the process models: ``offsets``, or mocap ``positions`` (eq. 5)."""
+    lengths: Literal["learned", "own"] = "learned"
+    """Bone lengths after correction: ``learned`` are those that mocap has for people of
+    similar proportions, ``own`` the person's own as Kinect measures them (section
+    2.2)."""
+    seed: int = 0
+    """Seed for drawing the frames and initializing the clusters."""
 
     fitted = (
         *("rows", "people", "bones", "weights", "variances", "scales", "noise"),
         *("joints", "seen"),
     )
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        centroids: int = 800,
-        smallest_reliability: float = 0.7,
-        predicts: Literal["offsets", "positions"] = "offsets",
-        lengths: Literal["learned", "own"] = "learned",
-        seed: int = 0,
-    ) -> None:
-        super().__init__(skeleton)
-        self.centroids, self.seed = centroids, seed
-        self.smallest_reliability = smallest_reliability
-        self.predicts, self.lengths = predicts, lengths
-        self._walk = BoneWalk(skeleton)
+    def __post_init__(self) -> None:
+        super().__init__(self.skeleton)
+        self._walk = BoneWalk(self.skeleton)
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Train on pairs in which every joint is reliable."""

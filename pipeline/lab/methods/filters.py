@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
@@ -48,8 +48,12 @@ def _rate(time: Array) -> float:
     return 1.0 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
+@dataclass
 class WholeTake(Corrector):
     """A method that filters whole takes; joints that were never seen stay NaN."""
+
+    skeleton: Skeleton | None = None
+    """Not needed, but given to all methods."""
 
     def whole(
         self,
@@ -64,26 +68,20 @@ class WholeTake(Corrector):
         """Return the filtered positions [m], shape (T, J, 3)."""
 
 
+@dataclass
 class Butterworth(WholeTake):
     """Low-pass filter over the frames, run forward and backward so that it has no lag.
 
     Gaps are bridged first. If a take is shorter than the filter's padding, or its frame
     rate is too low for the cutoff, nothing else happens.
-
-    Args:
-        cutoff: Frequency [Hz] at which half of the amplitude is left: each of the two
-            passes leaves 1 / sqrt(2).
-        order: Order of one pass.
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton | None = None,  # noqa: ARG002 - not needed
-        *,
-        cutoff: float = 6.0,
-        order: int = 2,
-    ) -> None:
-        self.cutoff, self.order = cutoff, order
+    _: KW_ONLY
+    cutoff: float = 6.0
+    """Frequency [Hz] at which half of the amplitude is left: each of the two passes
+    leaves 1 / sqrt(2)."""
+    order: int = 2
+    """Order of one pass."""
 
     def _filtered(self, take: Observation) -> Array:
         bridged, rate = bridge_gaps(take.time, take.positions), _rate(take.time)
@@ -94,25 +92,19 @@ class Butterworth(WholeTake):
         return np.asarray(sosfiltfilt(sections, bridged, 0, padlen=padding))
 
 
+@dataclass
 class SavitzkyGolay(WholeTake):
     """Least-squares polynomials over a sliding window, without lag.
 
     Gaps are bridged first. If a take is shorter than the window, or its frame rate is
     so low that a polynomial fits the window's frames exactly, nothing else happens.
-
-    Args:
-        window_seconds: Length of the window [s], rounded to an odd number of frames.
-        order: Order of the polynomials: motion of this order passes unchanged.
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton | None = None,  # noqa: ARG002 - not needed
-        *,
-        window_seconds: float = 0.3,
-        order: int = 3,
-    ) -> None:
-        self.window_seconds, self.order = window_seconds, order
+    _: KW_ONLY
+    window_seconds: float = 0.3
+    """Length of the window [s], rounded to an odd number of frames."""
+    order: int = 3
+    """Order of the polynomials: motion of this order passes unchanged."""
 
     def _filtered(self, take: Observation) -> Array:
         bridged = bridge_gaps(take.time, take.positions)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -199,20 +199,18 @@ def _symmetric(upper: Singles) -> Singles:
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class FourierRidgeLearner(FourierRidge, Learner):
-    """The shipped corrector with its training.
+    """The shipped corrector with its training."""
 
-    Args:
-        samples: Number of random features per part for whole takes; live motion has
-            half as many.
-        seed: Seed of their frequencies.
-    """
+    skeleton: Skeleton = field(kw_only=False)
+    samples: int = 2048
+    """Number of random features per part for whole takes; live motion has half."""
+    seed: int = 0
+    """Seed of their frequencies."""
 
-    def __init__(
-        self, skeleton: Skeleton, *, samples: int = 2048, seed: int = 0
-    ) -> None:
-        super().__init__(skeleton)
-        self.samples, self.seed = samples, seed
+    def __post_init__(self) -> None:
+        super().__init__(self.skeleton)
 
     def fit(
         self,

@@ -6,13 +6,13 @@ both papers put around the predictions of their Gaussian processes.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, TypedDict
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.hold import RELIABLE
@@ -20,35 +20,6 @@ from kinefilter.pipeline.correct.hold import RELIABLE
 from .training_data import OffsetCorrector, TrainingSet, add_offsets
 
 Likelihood = Literal["relative", "density"]
-"""Units of the energy's terms. ``relative``: squared distances, the spatial one scaled
-by the prior variance over the predicted variance. ``density``: each term is a negative
-log density, with a variance measured on the training data."""
-Inputs = Literal["measured", "held"]
-"""What offsets are predicted from and added to. ``measured``: the joints as measured.
-``held``: unreliable joints are held on their last bones, if there is a reliability
-term."""
-
-
-class Energy(TypedDict, total=False):
-    """Keywords of the energy; ``FusedOffsets`` has the defaults."""
-
-    spatial: float
-    """Weight of the predicted offset (first term of eq. 22)."""
-    temporal: float
-    """Weight of constant velocity (second term)."""
-    reliability: float
-    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
-    likelihood: Likelihood
-    """Units of the energy's terms."""
-    carry: float
-    """Share of the last velocity that the temporal term expects in the next frame; 1 is
-    constant velocity, as printed."""
-    spared: float
-    """Share of the temporal weight that is removed from a fully reliable joint."""
-    inputs: Inputs
-    """What offsets are predicted from."""
-
-
 _LARGEST = 100_000  # frames used to measure the variances of movement and error
 _LEAST = 1e-8  # m^2: a tenth of a millimeter, which is invisible
 _RELIABLE = 0.9  # reliability from which a joint's error counts as a reliable joint's
@@ -92,48 +63,47 @@ def least_energy(
     return np.asarray(pull / np.maximum(total, 1e-12))
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class FusedOffsets(OffsetCorrector):
-    """Adds to each joint the offset of least energy around a prediction.
+    """Adds to each joint the offset of least energy around a prediction."""
 
-    Args:
-        samples: Maximum number of training frames.
-        seed: Seed for drawing the training frames.
-        spatial: See ``Energy`` for this and the other keywords.
-    """
-
-    seen_: Flags
+    spatial: float = 0.6
+    """Weight of the predicted offset (first term of eq. 22)."""
+    temporal: float = 0.2
+    """Weight of constant velocity (second term)."""
+    reliability: float = 0.2
+    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
+    likelihood: Likelihood = "relative"
+    """Units of the energy's terms. ``relative``: squared distances, the spatial one
+    scaled by the prior variance over the predicted variance. ``density``: each term is
+    a negative log density, with a variance measured on the training data."""
+    carry: float = 1.0
+    """Share of the last velocity that the temporal term expects in the next frame; 1 is
+    constant velocity, as printed."""
+    spared: float = 0.0
+    """Share of the temporal weight that is removed from a fully reliable joint."""
+    inputs: Literal["measured", "held"] = "held"
+    """What offsets are predicted from and added to. ``measured``: the joints as
+    measured. ``held``: unreliable joints are held on their last bones, if there is a
+    reliability term."""
+    seen_: Flags = field(init=False)
     """The joints that the sensor measures, shape (J,)."""
-    movement_: Array
+    movement_: Array = field(init=False)
     """Variance [m^2] of the temporal term's density: of a coordinate's second
     difference between frames in which the joint is reliable, shape (M,)."""
-    misplaced_: Array
+    misplaced_: Array = field(init=False)
     """Variance [m^2] of the reliability term's density, which is a ratio: the density
     of reliable joints' offsets over that of all offsets, shape (M,)."""
-    adjustable: ClassVar[tuple[str, ...]] = tuple(Energy.__annotations__)
+    adjustable: ClassVar[tuple[str, ...]] = (
+        *("spatial", "temporal", "reliability", "likelihood", "carry", "spared"),
+        "inputs",
+    )
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        samples: int,
-        seed: int,
-        spatial: float = 0.6,
-        temporal: float = 0.2,
-        reliability: float = 0.2,
-        likelihood: Likelihood = "relative",
-        carry: float = 1.0,
-        spared: float = 0.0,
-        inputs: Inputs = "held",
-    ) -> None:
-        for name, share in (("carry", carry), ("spared", spared)):
-            if not 0.0 <= share <= 1.0:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("carry", "spared"):
+            if not 0.0 <= (share := getattr(self, name)) <= 1.0:
                 raise InputError(f"{name}={share:g}: must be a share, from 0 to 1")
-        super().__init__(skeleton, samples=samples, seed=seed)
-        self.spatial, self.temporal = spatial, temporal
-        self.reliability = reliability
-        self.likelihood: Likelihood = likelihood
-        self.carry, self.spared = carry, spared
-        self.inputs: Inputs = inputs
         self._past: list[Array] = []
 
     @cached_property

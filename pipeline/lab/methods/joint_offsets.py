@@ -10,11 +10,11 @@ simulated people carries over to real ones.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.correct import Observation
@@ -28,15 +28,16 @@ person in three ended up further from the truth than measured; at twice it, a si
 the gain was lost (on the people that the virtual Kinect is calibrated to)."""
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class JointOffsets(OffsetCorrector):
     """Adds to each joint an offset to mocap that is constant in the body."""
 
+    samples: int = 40_000
     fitted = ("joints", "shares")
 
-    def __init__(
-        self, skeleton: Skeleton, *, samples: int = 40_000, seed: int = 0
-    ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        skeleton = self.skeleton
         root, (left, right) = skeleton.root, skeleton.hips
         # The joint at the end of the segment that starts at each; itself for a leaf.
         first = [next(iter(skeleton.children[j]), j) for j in range(len(skeleton))]

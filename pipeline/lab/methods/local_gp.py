@@ -9,17 +9,17 @@ compares the method with one process over all samples (full-gp).
 
 from __future__ import annotations
 
-from typing import Self, Unpack
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from sklearn.cluster import KMeans
 
-from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.progress import Progress, silent
 
-from .fused_offsets import Energy, FusedOffsets
+from .fused_offsets import FusedOffsets
 from .gaussian_process import informative_samples
 from .local_models import (
     JointFeatures,
@@ -36,26 +36,33 @@ _FOR_CERTAIN = 300  # training frames on which the median variance is measured
 _SURE = 0.25  # share of the prior variance below which a prediction may be learned
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class LocalGP(FusedOffsets):
-    """Adds to each joint the offset of least energy, around local predictions.
+    """Adds to each joint the offset of least energy, around local predictions."""
 
-    Args:
-        clusters: Q, number of local models per joint.
-        samples: S, maximum number of samples per local model.
-        blended: L, number of nearest local models that are blended.
-        frames: Number of training frames drawn; 0 means four for each sample kept.
-        redundancy: Divergence below which posture budgeting drops a sample; at 0 it
-            only drops samples beyond the maximum number.
-        trend: Use a linear trend as the processes' mean function instead of 0.
-        votes: Weights by which local models are blended: ``similarity`` as in eq. 12,
-            or ``precision``, which also discounts models without a sample nearby.
-        adapt: Learn from the corrected frames themselves, until ``start``.
-        adapt_reliability: Minimum reliability of a joint to learn from.
-        spare: Number of samples per local model, and of models per joint, that may be
-            added while adapting; once full, the least informative sample is replaced.
-        seed: Seed for drawing the frames and initializing the clusters.
-        energy: Keywords of ``Energy``.
-    """
+    clusters: int = 50
+    """Q, number of local models per joint."""
+    samples: int = 50
+    """S, maximum number of samples per local model."""
+    blended: int = 9
+    """L, number of nearest local models that are blended."""
+    frames: int = 0
+    """Number of training frames drawn; 0 means four for each sample kept."""
+    redundancy: float = 0.01
+    """Divergence below which posture budgeting drops a sample; at 0 it only drops
+    samples beyond the maximum number."""
+    trend: bool = True
+    """Use a linear trend as the processes' mean function instead of 0."""
+    votes: Votes = "precision"
+    """Weights by which local models are blended: ``similarity`` as in eq. 12, or that
+    times ``precision``, which also discounts models without a sample nearby."""
+    adapt: bool = False
+    """Learn from the corrected frames themselves, until ``start``."""
+    adapt_reliability: float = 0.9
+    """Minimum reliability of a joint to learn from."""
+    spare: int = 20
+    """Number of samples per local model, and of models per joint, that may be added
+    while adapting; once full, the least informative sample is replaced."""
 
     fitted = (
         *("features", "offsets", "counts", "centers", "reach", "certain"),
@@ -66,30 +73,6 @@ class LocalGP(FusedOffsets):
         *FusedOffsets.adjustable,
         *("blended", "votes", "adapt", "adapt_reliability", "spare"),
     )
-
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        *,
-        clusters: int = 50,
-        samples: int = 50,
-        blended: int = 9,
-        frames: int = 0,
-        redundancy: float = 0.01,
-        trend: bool = True,
-        votes: Votes = "precision",
-        adapt: bool = False,
-        adapt_reliability: float = 0.9,
-        spare: int = 20,
-        seed: int = 0,
-        **energy: Unpack[Energy],
-    ) -> None:
-        super().__init__(skeleton, samples=samples, seed=seed, **energy)
-        self.clusters, self.blended, self.frames = clusters, blended, frames
-        self.redundancy, self.trend = redundancy, trend
-        self.votes: Votes = votes
-        self.adapt, self.adapt_reliability = adapt, adapt_reliability
-        self.spare = spare
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Train on pairs."""

@@ -28,8 +28,6 @@ from .gaussian_process import (
 )
 
 Votes = Literal["similarity", "precision"]
-"""Weights by which local models are blended: similarity (eq. 12), or similarity times
-precision."""
 
 _FOR_KERNEL = 400  # samples that hyper-parameters are fitted to
 _SLOPE = 0.1  # prior deviation of the trend's slopes, offset per position (a guess)
@@ -207,7 +205,7 @@ class LocalModels:
         Args:
             x: Features multiplied by the square roots of W, shape (M, F).
             blended: Number of nearest models that are blended.
-            votes: Weights by which they are blended.
+            votes: Weights by which they are blended; see ``LocalGP``.
         """
         joints, models = self.centers.shape[:2]
         blended = min(blended, models)

@@ -6,11 +6,11 @@ positions of a take are a low-rank matrix plus a sparse error. Bone lengths chan
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
 
@@ -82,35 +82,31 @@ def decompose(
     return Decomposition(clean, error, dual, iterations, False)
 
 
+@dataclass
 class LowRank(WholeTake):
     """Removes sparse errors from a take.
 
     Errors within gaps cost nothing, so the measured joints determine the positions
     there. A joint that was never measured stays NaN.
 
-    Args:
-        sparsity: C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is
-            for matrices of low rank; the motion of 20 joints is not quite low-rank, and
-            1 removes some of it along with the errors.
-        growth: rho, as in ``decompose``; 1 or more.
-        iterations: Maximum number of iterations.
-
     Attributes:
         iterations_: Number of iterations for the last take.
         converged_: True if they were enough.
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton | None = None,  # noqa: ARG002 - not needed
-        *,
-        sparsity: float = 2.0,
-        growth: float = 1.05,
-        iterations: int = 1000,
-    ) -> None:
-        if growth < 1.0:
-            raise InputError(f"growth={growth:g}: mu has to grow; give 1 or more")
-        self.sparsity, self.growth, self.iterations = sparsity, growth, iterations
+    _: KW_ONLY
+    sparsity: float = 2.0
+    """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is for
+    matrices of low rank; the motion of 20 joints is not quite low-rank, and 1 removes
+    some of it along with the errors."""
+    growth: float = 1.05
+    """rho, as in ``decompose``; 1 or more."""
+    iterations: int = 1000
+    """Maximum number of iterations."""
+
+    def __post_init__(self) -> None:
+        if self.growth < 1.0:
+            raise InputError(f"growth={self.growth:g}: mu has to grow; give 1 or more")
 
     def _filtered(self, take: Observation) -> Array:
         seen = ~np.isnan(take.positions[..., 0])

@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypedDict, Unpack
 
 import numpy as np
 
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Correction, Corrector, LocalPCA, Observation
-from kinefilter.pipeline.correct.local_pca import Search
 from kinefilter.pipeline.database import PostureDatabase
-
-
-class _Others(TypedDict, total=False):
-    """Keywords of ``LocalPCA`` whose defaults are the paper's (table V, VI.E)."""
-
-    dimensions: int
-    search: Search
-    steps: int
-    samples: int
-    control: float
-    style: float
-    kinematics: float
-    continuity: float
-    seed: int
 
 
 class LeastEnergy(LocalPCA):
@@ -33,20 +17,7 @@ class LeastEnergy(LocalPCA):
     Shum, Ho, Jiang & Takagi 2013: every joint is replaced, reliable or not.
     ``LocalPCA`` instead keeps reliable joints where they are, and relies on the
     measurement where the database has no similar posture.
-
-    The keywords are those of ``LocalPCA``, with the paper's values; it has no weight of
-    the last posture in the query (``memory``).
     """
-
-    def __init__(
-        self,
-        database: PostureDatabase,
-        *,
-        neighbors: int = 30,
-        memory: float = 0.0,
-        **others: Unpack[_Others],
-    ) -> None:
-        super().__init__(database, neighbors=neighbors, memory=memory, **others)
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
         weights = self._weights(take)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -62,17 +62,18 @@ class Learner(LearnedCorrector, ABC):
         """
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class OffsetCorrector(Learner):
-    """Fills missing joints, then adds an offset to each joint.
+    """Fills missing joints, then adds an offset to each joint."""
 
-    Args:
-        samples: Maximum number of training frames.
-        seed: Seed for drawing the training frames.
-    """
+    skeleton: Skeleton = field(kw_only=False)
+    samples: int
+    """Maximum number of training frames."""
+    seed: int = 0
+    """Seed for drawing the training frames."""
 
-    def __init__(self, skeleton: Skeleton, *, samples: int, seed: int) -> None:
-        super().__init__(skeleton)
-        self.samples, self.seed = samples, seed
+    def __post_init__(self) -> None:
+        super().__init__(self.skeleton)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""

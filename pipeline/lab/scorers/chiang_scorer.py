@@ -5,6 +5,8 @@ It combines Shum's segment lengths with a test for errors that last a single fra
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
+
 import numpy as np
 
 from kinefilter.characters import Skeleton, State
@@ -12,32 +14,28 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.pipeline.reliability import Reference, ReliabilityScorer
 
 
+@dataclass(eq=False, repr=False)
 class ChiangReliabilityScorer(ReliabilityScorer):
     """Scores frame by frame; a whole take gets the same scores.
 
     An inferred joint is as reliable as its segments and its motion are plausible; only
     a joint that is not tracked scores 0 for its state. Term.BEHAVIOR stands for the
     temporal term, whose threshold is per frame, at 30 Hz.
-
-    Args:
-        reference: The person's segment lengths.
-        largest_displacement: T [m]: joints that move less are not in error (eq. 10).
-        steepness: Reliability lost per T beyond T; by default 0 is reached at 1.25 T
-            (eq. 10).
-        now: Weight of the current frame; the previous frame has the rest (eq. 12).
     """
 
-    def __init__(
-        self,
-        skeleton: Skeleton,
-        reference: Reference,
-        *,
-        largest_displacement: float = 0.03,
-        steepness: float = 4.0,
-        now: float = 0.7,
-    ) -> None:
-        self._largest, self._steepness, self._now = largest_displacement, steepness, now
-        super().__init__(skeleton, reference)
+    skeleton: Skeleton
+    reference: Reference
+    """The person's segment lengths."""
+    _: KW_ONLY
+    largest_displacement: float = 0.03
+    """T [m]: joints that move less are not in error (eq. 10)."""
+    steepness: float = 4.0
+    """Reliability lost per T beyond T; by default 0 is reached at 1.25 T (eq. 10)."""
+    now: float = 0.7
+    """Weight of the current frame; the previous frame has the rest (eq. 12)."""
+
+    def __post_init__(self) -> None:
+        super().__init__(self.skeleton, self.reference)
 
     def start(self) -> None:
         """Reset the state for a new motion."""
@@ -60,7 +58,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         scores = np.stack([terms.min(axis=0), np.minimum(temporal, kinematics)])
         before = scores if self._previous is None else self._previous
         self._previous = scores
-        mean = self._now * scores + (1.0 - self._now) * before  # eq. 12
+        mean = self.now * scores + (1.0 - self.now) * before  # eq. 12
         return mean[0], term, mean[1]
 
     def _temporal(self, positions: Array) -> Array:
@@ -73,8 +71,9 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         term = np.ones(len(positions))
         if len(self._past) == 2:
             d1, d2 = np.sqrt(np.sum((positions - np.array(self._past)) ** 2, axis=2))
-            moved = (d1 > self._largest) & (d2 > self._largest)
-            excess = (d2[moved] - self._largest) / max(self._largest, 1e-9)
-            term[moved] = np.maximum(1.0 - self._steepness * excess, 0.0)
+            largest = self.largest_displacement
+            moved = (d1 > largest) & (d2 > largest)
+            excess = (d2[moved] - largest) / max(largest, 1e-9)
+            term[moved] = np.maximum(1.0 - self.steepness * excess, 0.0)
         self._past = [*self._past[-1:], positions.copy()]
         return term

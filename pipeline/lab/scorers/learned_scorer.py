@@ -67,7 +67,7 @@ class ClueWeights:
 
     def save(self, path: Path) -> None:
         """Write the weights as npz, with one row for each kind of joint."""
-        kinds, first = np.unique(_kinds(self.skeleton), return_index=True)
+        kinds, first = np.unique(self.skeleton.kinds, return_index=True)
         arrays = {key: getattr(self, key)[first].astype(np.float32) for key in _ARRAYS}
         write_arrays(path, {"kinds": kinds, **arrays})
 
@@ -81,18 +81,13 @@ class ClueWeights:
         try:
             file = read_arrays(path)
             kinds = file["kinds"].tolist()
-            rows = [kinds.index(kind) for kind in _kinds(skeleton)]
+            rows = [kinds.index(kind) for kind in skeleton.kinds]
             return cls(skeleton, *(file[key][rows].astype(float) for key in _ARRAYS))
         except (InputError, KeyError, ValueError, TypeError, IndexError):
             raise InputError(
                 f"{path}: no reliability weights for {skeleton.name}; reinstall "
                 "kinefilter"
             ) from None
-
-
-def _kinds(skeleton: Skeleton) -> list[str]:
-    """Return the joints' names without their side."""
-    return [j.removesuffix("Left").removesuffix("Right") for j in skeleton.joints]
 
 
 class LearnedReliabilityScorer(NoiseReliabilityScorer):
@@ -210,18 +205,13 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
 def learned_weights(
     pairs: Sequence[PairedTake], *, progress: Progress = silent
 ) -> ClueWeights:
-    """Return weights trained on pairs of one skeleton.
-
-    Args:
-        pairs: Takes with ground truth.
-        progress: Wraps the loop over the takes, for a progress bar.
-    """
+    """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
     parts = [_clues_and_errors(pair) for pair in over(pairs, "clues", progress)]
     clues, far = map(np.concatenate, zip(*parts, strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
-    kinds = np.array(_kinds(learned.skeleton))
+    kinds = np.array(learned.skeleton.kinds)
     for kind in dict.fromkeys(kinds):
         joints = np.flatnonzero(kinds == kind)
         known = ~np.isnan(far[:, joints])

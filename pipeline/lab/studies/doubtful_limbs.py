@@ -78,15 +78,13 @@ def hidden_limb_errors(
         most: Maximum number of clips per person.
     """
     people = recorded_people(options.data)[:count]
-    parts = [
-        (train, test[::every][:most])
-        for _, train, test in recorded_folds(people, options)
-    ]
     run = partial(_errors_on, systems_of(methods, presets), whole, guesses)
     with workers() as pool:
-        jobs = [pool.submit(run, *part) for part in parts]
-        found = [job.result() for job in over(jobs, "people", options.progress)]
-    *new, known = found
+        jobs = [
+            pool.submit(run, train, test[::every][:most])
+            for _, train, test in recorded_folds(people, options)
+        ]
+        *new, known = (job.result() for job in over(jobs, "people", options.progress))
     return {
         name: {
             where: float(np.mean([part[name][where] for part in new]))
@@ -110,9 +108,11 @@ def _errors_on(
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
         corrector = trainer.corrector(system)
-        runners[system.label] = partial(_corrected, system.config, corrector)
-        if whole:
-            runners[system.label] = _cleaned(system.config, corrector, prior)
+        runners[system.label] = (
+            _cleaned(system.config, corrector, prior)
+            if whole
+            else partial(_unleveled, correction(system.config, corrector))
+        )
     return {name: _means(test, run, guesses) for name, run in runners.items()}
 
 
@@ -133,10 +133,8 @@ def _cleaned(
     return run
 
 
-def _corrected(
-    config: CleanConfig, corrector: Corrector, take: Take
-) -> tuple[Array, Turn]:
-    return correction(config, corrector)(take), (0.0, 0.0)
+def _unleveled(run: Callable[[Take], Array], take: Take) -> tuple[Array, Turn]:
+    return run(take), (0.0, 0.0)
 
 
 def _means(

@@ -21,6 +21,9 @@ from .study_takes import clips_of, recorded_people
 _METHODS = (
     *("none", "butterworth", "savgol", "one-euro", "kalman", "low-rank", "local-pca"),
     *("exemplar", "full-gp", "local-gp", "clustered-gp", "learned"),
+    # Shum's methods A and B, and local-gp without terms of its energy (Liu, Table 5).
+    *("nearest", "no-reliability", "local-gp:temporal=0:reliability=0"),
+    *("local-gp:reliability=0", "local-gp:temporal=0"),
 )
 _ERRORS = ("E", "E_std", "E_var")
 _EVERY = 5  # one in this many test clips is cleaned, with every method
@@ -45,11 +48,10 @@ def methods_new_people(
 ) -> Study:
     """Test every method on each person, trained on all the others.
 
-    As ``kinefilter evaluate --train PEOPLE --ablation --mocap-database``: ``local-pca``
-    searches the others' mocap. Errors are means over frames and joints, then over
-    people. One in five clips is tested, through the whole cleaner. Without recordings,
-    simulated people stand in. At most ``count`` people in their first ``movements`` are
-    used.
+    As ``kinefilter evaluate --train PEOPLE --mocap-database``: ``local-pca`` searches
+    the others' mocap. Errors are means over frames and joints, then over people. One in
+    five clips is tested, through the whole cleaner. Without recordings, simulated
+    people stand in. At most ``count`` people in their first ``movements`` are used.
     """
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)  # worker processes show no progress
@@ -68,8 +70,8 @@ def methods_known_people(
 ) -> Study:
     """Test every method on new repetitions by the people in its training data.
 
-    As ``kinefilter evaluate --train PEOPLE --ablation --protocol repetitions``: methods
-    are trained on repetitions 1 to 7 and tested on 8 to 10; ``local-pca`` searches the
+    As ``kinefilter evaluate --train PEOPLE --protocol repetitions``: methods are
+    trained on repetitions 1 to 7 and tested on 8 to 10; ``local-pca`` searches the
     built-in database. Otherwise like ``methods_new_people``.
     """
     people, progress = recorded_people(options.data)[:count], options.progress
@@ -79,7 +81,6 @@ def methods_known_people(
         [],
         _METHODS,
         protocol="repetitions",
-        ablation=True,
         every=_EVERY,
         progress=progress,
     )
@@ -94,7 +95,7 @@ def _on_person(
     test = clips_of([name], movements, options)[::_EVERY]
     others = [other for other in people if other != name]
     train = clips_of(others, movements, options)
-    return _errors(evaluate(train, test, _METHODS, ablation=True, database="mocap"))
+    return _errors(evaluate(train, test, _METHODS, database="mocap"))
 
 
 def _errors(figures: dict[str, Any]) -> dict[str, _People]:

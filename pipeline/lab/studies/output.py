@@ -6,8 +6,6 @@ Only this file uses matplotlib.
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -21,14 +19,14 @@ from kinefilter import Cleaner, clean, read_take, write_clip
 from kinefilter.characters import Clip, InputError
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.formats import atomic_path
-from kinefilter.pipeline.lab.bench import sample_path
+from kinefilter.pipeline.formats.files import atomic_path, make_folder
 from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.scenes import SAMPLE
 
 from .study import Cell, Panel, Series, Study
 
@@ -47,19 +45,6 @@ _ARM_LENGTH = 2.6  # s, of the animation of a hidden arm
 _OTHERS = 4  # one in this many clips of other people trains the prior
 _CARRIER = 5012  # seed of the performer who carries a box
 _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
-_TIMEOUT = 600.0  # s for the script, a guess: ten times what it needs
-_PAGES = Path(__file__).parents[3] / "tests" / "pictures" / "pages.py"
-
-
-def check_studies_folder(folder: Path) -> None:
-    """Raise an InputError if a folder neither exists nor can be created."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; give a folder to write to")
-    if not folder.exists() and not folder.parent.is_dir():
-        raise InputError(
-            f"{folder}: folder {folder.parent} does not exist; create it or give "
-            "another folder"
-        )
 
 
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
@@ -70,12 +55,7 @@ def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
     Raises:
         InputError: The folder cannot be created, or matplotlib is not installed.
     """
-    check_studies_folder(folder)
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{folder}: cannot be created ({reason})") from error
+    make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"
     with atomic_path(table) as new_table, atomic_path(plot) as new_plot:
         write_table([study.columns, *study.rows], new_table)
@@ -164,15 +144,13 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
 def make_pictures(
     folder: Path, *, data: Path | None = None, progress: Progress = silent
 ) -> Iterator[str]:
-    """Make README's pictures in an existing folder, and yield a line on each result.
+    """Make README's animations in an existing folder, and yield a line on each result.
 
-    Animations need OpenGL, and that of a hidden arm also recordings; pictures of pages
-    need viser, Chromium and a script that only a checkout has.
+    They need OpenGL, and that of a hidden arm also recordings.
     """
     path = folder / "raw_beside_cleaned.gif"
     try:
-        sample = sample_path()
-        _animate(clean(read_take(sample)).clip, path, progress, compare=sample)
+        _animate(clean(read_take(SAMPLE)).clip, path, progress, compare=SAMPLE)
         yield f"wrote {path}"
         path = folder / "held_box.gif"  # a mimed lift: the box goes onto the table
         take = simulate("box", "store_box", seed=_CARRIER).take
@@ -185,7 +163,6 @@ def make_pictures(
             yield f"wrote {path}"
     except InputError as error:
         yield f"not made: {path.name} ({error})"
-    yield _take_pictures_of_pages(folder)
 
 
 def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
@@ -249,19 +226,3 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]
     height, width = frames[0].shape[:2]
     write_gif([coded], path, (width, height), _RATE)
-
-
-def _take_pictures_of_pages(folder: Path) -> str:
-    """Run the checkout's script for pictures of pages, and return its result."""
-    failed = f"not made: the pictures of {_PAGES.name}"
-    if not _PAGES.is_file():
-        return f"{failed} (the script comes only with a checkout)"
-    command = [sys.executable, str(_PAGES), str(folder)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        return f"{failed} (not finished after {_TIMEOUT:g} s)"
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
-        return f"{failed} ({reason})"
-    return f"{_PAGES.name}: wrote into {folder}"

@@ -14,21 +14,20 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import LocalPCA, Observation
 from kinefilter.pipeline.correct.local_pca import Search
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
-from kinefilter.pipeline.lab.database_build import scripted_postures
+from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.lab.database_build import filtered_database, scripted_postures
 from kinefilter.pipeline.lab.training import observed, standard_truth
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over
-from kinefilter.retarget import HeadingFrame, Standardizer
-from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget import Standardizer
 from kinefilter.scenes.library import perform, random_body
 
 from .study import Kind, Options, Panel, Row, Study, series_of
 from .study_takes import (
     CLASSES,
-    StandardizedTake,
     first_person,
     performed_by,
+    standardized,
     study_takes,
 )
 
@@ -161,9 +160,7 @@ def _standard_postures(motion: str, person: int) -> Array:
     """Return a performance's postures in the heading frame, shape (T, J, 3)."""
     body = random_body(KINECT_V1, np.random.default_rng(person))
     positions = perform(motion, body, seed=person).positions
-    yaw = find_yaw(positions, np.ones(len(KINECT_V1)), KINECT_V1)
-    view = HeadingFrame(positions[:, KINECT_V1.root], yaw)
-    return Standardizer(body).standardize(positions, view)
+    return Standardizer(body).steps(positions, np.ones(positions.shape[:2]))[0]
 
 
 def _errors(postures: Array, reliability: Array, method: LocalPCA) -> Array:
@@ -239,8 +236,9 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
     """
     first, progress = first_person(options.seed), options.progress
     takes = [
-        StandardizedTake(*performed_by([first + k], [motion], sensor="v1"))
+        (pair, standardized(pair))
         for k, motion in enumerate(_MOTIONS[:motions])
+        for pair in performed_by([first + k], [motion], sensor="v1")
     ]
     paper = {name: choice for name, (choice, _) in _PARAMETERS.items()}
     tried = {name: _spread(every, values) for name, (_, every) in _PARAMETERS.items()}
@@ -280,43 +278,32 @@ def _spread(choices: Sequence[int], count: int) -> list[int]:
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
     """Return databases of scripted postures, filtered to about the given sizes."""
-    shipped = builtin_database(KINECT_V1)
-    whole = _unfiltered(progress) if max(sizes) > len(shipped) else shipped
-    found = {}
+    shipped, found = builtin_database(KINECT_V1), dict[int, PostureDatabase]()
+    parts: list[Any] = [("shipped", shipped.positions, shipped.rotations)]
     for size in over(sorted(sizes), "filter", progress):
-        source = whole if size > len(shipped) else shipped
-        kept = filter_to_count(source.positions, size)
-        arrays = (source.positions[kept], source.rotations[kept], source.labels[kept])
-        found[size] = PostureDatabase(*arrays, KINECT_V1)
+        if size > len(shipped) and len(parts) == 1:
+            parts = [*scripted_postures(KINECT_V1, progress)]
+        found[size] = filtered_database(parts, KINECT_V1, "scripted", size)
     return found
 
 
-def _unfiltered(progress: Progress) -> PostureDatabase:
-    parts = scripted_postures(KINECT_V1, progress)
-    labels, postures, rotations = zip(*parts, strict=True)
-    return PostureDatabase(
-        np.concatenate(postures),
-        np.concatenate(rotations),
-        np.repeat(labels, [len(part) for part in postures]),
-        KINECT_V1,
-    )
-
-
-def _measure(method: LocalPCA, takes: Sequence[StandardizedTake]) -> list[float]:
+def _measure(
+    method: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]
+) -> list[float]:
     """Return energy [m^2], error [cm] and time per frame [ms]."""
     energies, seconds, errors = [], [], []
-    for take in takes:
+    for pair, draft in takes:
         method.start()
-        postures = take.positions.copy()
+        postures = draft.standard.copy()
         for k in range(min(_FRAMES, len(postures))):
             start = perf_counter()
-            postures[k] = method.synthesize(take.positions[k], take.reliability[k])[0]
+            postures[k] = method.synthesize(draft.standard[k], draft.reliability[k])[0]
             seconds.append(perf_counter() - start)
             energy = method.energy
             found = energy.space.project(postures[k].ravel())
             energies.append(energy.constant + float(energy(found[None])[0][0]))
-        positions, truth = take.undo(postures)[:_FRAMES], take.pair.truth[:_FRAMES]
-        errors.append(bone_errors(positions, truth, KINECT_V1))
+        positions = Standardizer(draft.body).undo(postures, draft.heading)
+        errors.append(bone_errors(positions, pair.truth, KINECT_V1)[:_FRAMES])
     error = float(np.concatenate(errors).mean())
     return [float(np.mean(energies)), 100.0 * error, 1e3 * float(np.median(seconds))]
 

@@ -18,7 +18,7 @@ from kinefilter.pipeline.lab.spool import Spool
 from kinefilter.pipeline.progress import Progress, over
 
 from .study import Options, Panel, Study, series_of
-from .study_takes import StandardizedTake
+from .study_takes import standardized
 
 Postures = NDArray[np.float32]
 _Query = tuple[Array, Array]
@@ -110,8 +110,8 @@ def _queries(first: int) -> list[_Query]:
     """Return what a simulated Kinect v1 sees of people who are not in the database."""
     queries: list[_Query] = []
     for k, motion in enumerate(_MOTIONS):
-        take = StandardizedTake(simulate("basic", motion, sensor="v1", seed=first + k))
-        queries += list(zip(take.positions, take.reliability, strict=True))[::_EVERY]
+        draft = standardized(simulate("basic", motion, sensor="v1", seed=first + k))
+        queries += list(zip(draft.standard, draft.reliability, strict=True))[::_EVERY]
     return queries
 
 

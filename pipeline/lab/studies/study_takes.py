@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.retarget import Standardizer
 
 from .study import Options
 
@@ -164,18 +163,9 @@ def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTak
         yield replace(pair, subject=name, clip=clip)
 
 
-class StandardizedTake:
-    """A take on the standard body, and its ground truth."""
-
-    def __init__(self, pair: PairedTake) -> None:
-        self.pair = pair
-        self._draft = observed(pair)
-        self.positions = self._draft.standard
-        """Postures [m] in the heading frame, NaN where missing, shape (T, J, 3)."""
-        missing = np.isnan(self.positions[..., 0])
-        self.reliability = np.where(missing, 0.0, self._draft.reliability)
-        """Reliability, 0 where missing, shape (T, J)."""
-
-    def undo(self, positions: Array) -> Array:
-        """Return standard postures (T, J, 3) on the person, in the sensor frame."""
-        return Standardizer(self._draft.body).undo(positions, self._draft.heading)
+def standardized(pair: PairedTake) -> Draft:
+    """Return a take on the standard body, with reliability 0 where joints miss."""
+    draft = observed(pair)
+    missing = np.isnan(draft.standard[..., 0])
+    draft.reliability = np.where(missing, 0.0, draft.reliability)
+    return draft
