@@ -25,9 +25,9 @@ from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.stance import smooth_step
 
-from .filter import SceneProps
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
+from .scene_props import SceneProps
 from .world import World
 
 RATE = 30.0
