@@ -56,6 +56,7 @@ class Upright(Stage):
     """
 
     name = "upright"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.tilt is not None
