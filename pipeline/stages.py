@@ -64,19 +64,9 @@ class Stage(ABC):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Process a whole take: by default ``start``, then ``step`` for each frame."""
         self.start(draft.body)
-        count = len(draft.time)
-        arrays = {
-            name: value
-            for name, value in vars(draft).items()
-            if isinstance(value, np.ndarray) and len(value) == count
-        }
         results: dict[str, list[Any]] = {name: [] for name in self.adds}
-        for k in progress(self.name, count):
-            frame = Draft(
-                draft.skeleton, draft.time[k], draft.measured[k], draft.state[k]
-            )
-            for name, array in arrays.items():
-                setattr(frame, name, array[k])
+        for k in progress(self.name, len(draft.time)):
+            frame = draft.at(k)
             self.step(frame)
             for name, values in results.items():
                 values.append(getattr(frame, name))
