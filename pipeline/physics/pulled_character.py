@@ -7,7 +7,6 @@ gravity and the floor, so the result obeys them whatever the target does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -54,8 +53,8 @@ class PulledCharacter:
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
     joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. It is alone in a world of its own, made of a scene and ``extend`` as in
-    ``World``, unless it is given one with others. Raises InputError as ``World``.
+    frame. It is alone in a world of its own, unless it is given one with others. Raises
+    InputError as ``World``.
     """
 
     def __init__(
@@ -64,12 +63,11 @@ class PulledCharacter:
         tracking: Tracking | None = None,
         *,
         scene: str | Path | None = None,
-        extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
         world: World | None = None,
     ) -> None:
         self.body, joints = body, body.skeleton.joints
         if world is None:
-            world = World([body], tracking, scene=scene, extend=extend)
+            world = World([body], tracking, scene=scene)
         self.world, self.model, self.data = world, world.model, world.data
         model, prefix = self.model, prefix_of(len(world.characters))
         names = [f"{prefix}{name}" for name in joints]
