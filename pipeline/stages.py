@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -225,29 +225,23 @@ class Correct(Stage):
     local = True
 
     def __init__(self, config: CleanConfig, corrector: Corrector | None = None) -> None:
-        self._config, self._given = config, corrector
-        self._methods: dict[tuple[str, bool], Corrector] = {}
+        self._given = corrector
+        self._made = cache(partial(make_corrector, config=config))  # for many takes
 
     def _method(self, skeleton: Skeleton, *, by_kinect: bool = True) -> Corrector:
-        """Return the method for a skeleton, loaded once for many takes."""
-        if self._given is not None:
-            return self._given
-        key = (skeleton.name, by_kinect)
-        if key not in self._methods:
-            made = make_corrector(skeleton, self._config, by_kinect=by_kinect)
-            self._methods[key] = made
-        return self._methods[key]
+        """Return the method for a skeleton."""
+        return self._given or self._made(skeleton, by_kinect=by_kinect)
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion of a body."""
-        self._body, self._standardizer = body, Standardizer(body)
+        self._standardizer = Standardizer(body)
         self._corrector = self._method(body.skeleton)
         self._corrector.start()
         self._usual = UsualScores(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Correct the next frame."""
-        observation = self._observation(draft, self._body, self._usual.step)
+        observation = self._observation(draft, self._usual.step)
         found = self._corrector.step(observation)
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         self._record(draft, found)
@@ -258,7 +252,7 @@ class Correct(Stage):
         """Correct a take; joints the method leaves missing keep their last bones."""
         steps = progress(self.name, len(draft.time))
         usual = UsualScores(draft.skeleton).whole
-        observation = self._observation(draft, draft.body, usual)
+        observation = self._observation(draft, usual)
         method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
         found = method.whole(observation, steps)
         del draft.standard, observation
@@ -285,11 +279,11 @@ class Correct(Stage):
 
     @staticmethod
     def _observation(
-        draft: Draft, body: Body, usual: Callable[[Array, Flags, Flags], Array]
+        draft: Draft, usual: Callable[[Array, Flags, Flags], Array]
     ) -> Observation:
         scores = np.stack([draft.reliability, draft.geometry])
         if draft.hidden is not None:
             # What was reconstructed is corrected as if it had been measured.
             scores = usual(scores, draft.hidden, draft.state == State.TRACKED)
-        context = draft.time, body.lengths, draft.heading.origin
+        context = draft.time, draft.body.lengths, draft.heading.origin
         return Observation(draft.standard, scores[0], scores[1], *context)

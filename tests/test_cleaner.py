@@ -100,6 +100,7 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
             frame = Draft(
                 skeleton, float(take.time[k]), take.positions[k], take.state[k]
             )
+            frame.body = whole.body
             for name in ("reliability", "geometry"):
                 setattr(frame, name, getattr(whole, name)[k])
             if stage.name == "correct":
