@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -225,12 +225,18 @@ class Correct(Stage):
     local = True
 
     def __init__(self, config: CleanConfig, corrector: Corrector | None = None) -> None:
-        self._given = corrector
-        self._made = cache(partial(make_corrector, config=config))  # for many takes
+        self._config, self._given = config, corrector
+        self._methods: dict[tuple[str, bool], Corrector] = {}
 
     def _method(self, skeleton: Skeleton, *, by_kinect: bool = True) -> Corrector:
-        """Return the method for a skeleton."""
-        return self._given or self._made(skeleton, by_kinect=by_kinect)
+        """Return the method for a skeleton, loaded once for many takes."""
+        if self._given is not None:
+            return self._given
+        key = (skeleton.name, by_kinect)
+        if key not in self._methods:
+            made = make_corrector(skeleton, self._config, by_kinect=by_kinect)
+            self._methods[key] = made
+        return self._methods[key]
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion of a body."""

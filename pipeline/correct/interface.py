@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -94,7 +95,8 @@ class Corrector:
         """Correct a whole take; by default ``start``, then ``step`` for each frame."""
         self.start()
         steps = range(len(take.positions)) if frames is None else frames
-        return joined([self.step(take.at(k)).at(None) for k in steps])
+        # Copies, as a method may write every frame into the same arrays.
+        return joined([deepcopy(self.step(take.at(k))).at(None) for k in steps])
 
 
 def joined(parts: Sequence[Correction]) -> Correction:
