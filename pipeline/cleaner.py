@@ -266,23 +266,20 @@ class Cleaner:
         """
         physics = [stage for stage in self.stages if isinstance(stage, Physics)]
         before = self.without(*(stage.name for stage in physics))
-        found: list[CleanResult | InputError] = []
-        ready: list[tuple[int, Take, Any, Draft]] = []
-        for number, take in enumerate(takes):
+        found: list[tuple[Take, Any, Draft] | InputError] = []
+        for take in takes:
             try:
                 recorded, frames = self._distinct(take)
-                ready.append(
-                    (number, recorded, frames, before.whole(recorded, progress))
-                )
+                found.append((recorded, frames, before.whole(recorded, progress)))
             except InputError as error:
                 found.append(error)
-            else:
-                found.append(InputError("not simulated"))
-        for stage in physics if ready else ():
-            stage.together([draft for *_, draft in ready], progress)
-        for number, recorded, frames, draft in ready:
-            found[number] = self._result(takes[number], recorded, frames, draft, ())
-        return found
+        drafts = [one[2] for one in found if not isinstance(one, InputError)]
+        for stage in physics if drafts else ():
+            stage.together(drafts, progress)
+        return [
+            one if isinstance(one, InputError) else self._result(take, *one, ())
+            for take, one in zip(takes, found, strict=True)
+        ]
 
     def _result(
         self,

@@ -130,14 +130,19 @@ class Draft:
         spans = parts_of(self.time)
         return [self] if len(spans) == 1 else [self.part(frames) for frames in spans]
 
-    def part(self, frames: slice) -> Draft:
-        """Return the draft of some of a take's frames."""
+    def at(self, frames: int | slice) -> Draft:
+        """Return the draft of a frame of a take, or of some, with all failures."""
         part = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
                 setattr(part, name, value[frames])
             elif isinstance(value, HeadingFrame):
                 setattr(part, name, value.at(frames))
+        return part
+
+    def part(self, frames: slice) -> Draft:
+        """Return the draft of some of a take's frames."""
+        part = self.at(frames)
         part.failures = tuple(
             failure.moved(-frames.start)
             for failure in self.failures

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError, Skeleton, skeleton_named, standard_body
 
 from .correct import LearnedCorrector, Observation
-from .formats.files import as_path
+from .formats.files import as_path, refused
 from .formats.npz import read_arrays, write_arrays
 from .methods import LEARNED
 
@@ -84,7 +84,7 @@ def _try_out(corrector: LearnedCorrector) -> None:
     take = Observation(posture, reliable, reliable, time, body.lengths, sensor)
     for person in (None, *getattr(corrector, "people_", np.array([])).tolist()):
         corrector.select_person(person)
-        for found in (corrector.whole(take), corrector.step(take.frame(0))):
+        for found in (corrector.whole(take), corrector.step(take.at(0))):
             moved = np.abs(found.positions - posture[0]).max()
             if not moved < _FARTHEST:
                 raise ValueError(f"it moves a T-pose by {moved:.3g} m")
@@ -97,17 +97,11 @@ def load_model(path: Path) -> Model:
     if not as_path(path).is_file():
         raise InputError(f"{path}: no such model; create one with 'kinefilter train'")
     arrays = read_arrays(path, "a model from 'kinefilter train'")
-    try:
+    with refused(path, "not a kinefilter model; create one with 'kinefilter train'"):
         version, method = int(arrays["version"].item()), str(arrays["method"])
         skeleton = skeleton_named(str(arrays["skeleton"]))
         source = str(arrays["trained_on"])
         preset = str(arrays.get("preset", "")) or None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (KeyError, ValueError, TypeError):  # other arrays
-        raise InputError(
-            f"{path}: not a kinefilter model; create one with 'kinefilter train'"
-        ) from None
     if version > _VERSION or method not in LEARNED:
         raise InputError(
             f"{path}: a model of method {method!r}, version {version}, which this "

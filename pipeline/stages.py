@@ -64,19 +64,9 @@ class Stage(ABC):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Process a whole take: by default ``start``, then ``step`` for each frame."""
         self.start(draft.body)
-        count = len(draft.time)
-        arrays = {
-            name: value
-            for name, value in vars(draft).items()
-            if isinstance(value, np.ndarray) and len(value) == count
-        }
         results: dict[str, list[Any]] = {name: [] for name in self.adds}
-        for k in progress(self.name, count):
-            frame = Draft(
-                draft.skeleton, draft.time[k], draft.measured[k], draft.state[k]
-            )
-            for name, array in arrays.items():
-                setattr(frame, name, array[k])
+        for k in progress(self.name, len(draft.time)):
+            frame = draft.at(k)
             self.step(frame)
             for name, values in results.items():
                 values.append(getattr(frame, name))
@@ -250,14 +240,14 @@ class Correct(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion of a body."""
-        self._body, self._standardizer = body, Standardizer(body)
+        self._standardizer = Standardizer(body)
         self._corrector = self._method(body.skeleton)
         self._corrector.start()
         self._usual = UsualScores(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Correct the next frame."""
-        observation = self._observation(draft, self._body, self._usual.step)
+        observation = self._observation(draft, self._usual.step)
         found = self._corrector.step(observation)
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         self._record(draft, found)
@@ -268,7 +258,7 @@ class Correct(Stage):
         """Correct a take; joints the method leaves missing keep their last bones."""
         steps = progress(self.name, len(draft.time))
         usual = UsualScores(draft.skeleton).whole
-        observation = self._observation(draft, draft.body, usual)
+        observation = self._observation(draft, usual)
         method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
         found = method.whole(observation, steps)
         del draft.standard, observation
@@ -295,11 +285,11 @@ class Correct(Stage):
 
     @staticmethod
     def _observation(
-        draft: Draft, body: Body, usual: Callable[[Array, Flags, Flags], Array]
+        draft: Draft, usual: Callable[[Array, Flags, Flags], Array]
     ) -> Observation:
         scores = np.stack([draft.reliability, draft.geometry])
         if draft.hidden is not None:
             # What was reconstructed is corrected as if it had been measured.
             scores = usual(scores, draft.hidden, draft.state == State.TRACKED)
-        context = draft.time, body.lengths, draft.heading.origin
+        context = draft.time, draft.body.lengths, draft.heading.origin
         return Observation(draft.standard, scores[0], scores[1], *context)

@@ -6,8 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Motion, Skeleton, standard_body
+from kinefilter.pipeline.physics import Performance, PhysicsResult, pull_through
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 
-__all__ = ["BODY", "FEET", "Array", "noisy", "polynomial", "stamps", "standing"]
+__all__ = [
+    "BODY",
+    "FEET",
+    "Array",
+    "noisy",
+    "polynomial",
+    "pulled_through",
+    "stamps",
+    "standing",
+]
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)
@@ -33,3 +44,10 @@ def polynomial(time: Array, *vectors: list[float]) -> Array:
     powers = time[:, None] ** np.arange(len(vectors))
     path = np.asarray(powers @ np.array(vectors, float))
     return np.asarray(standing(len(time)) + path[:, None])
+
+
+def pulled_through(
+    character: PulledCharacter, *targets: Array, stands: NDArray[np.bool_] | None = None
+) -> PhysicsResult:
+    """Pull a character through a motion: time stamps, positions and rotations."""
+    return pull_through([character], [Performance(*targets, stands=stands)])[0]

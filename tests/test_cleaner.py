@@ -100,6 +100,7 @@ def test_scores_and_corrections_of_takes_are_those_of_their_frames(
             frame = Draft(
                 skeleton, float(take.time[k]), take.positions[k], take.state[k]
             )
+            frame.body = whole.body
             for name in ("reliability", "geometry"):
                 setattr(frame, name, getattr(whole, name)[k])
             if stage.name == "correct":
@@ -134,6 +135,23 @@ def test_a_stage_that_knows_frames_alone_does_takes_too(take: Take) -> None:
     lift = (np.arange(len(take)) + 1) * 0.01
     expected = take.positions + lift[:, None, None] * [0.0, 1.0, 0.0]
     np.testing.assert_allclose(draft.measured, expected)
+
+
+class Reusing(Corrector):
+    """Answers every frame as measured, in one array."""
+
+    def __init__(self) -> None:
+        self._posture = standard_body(KINECT_V1).rest_positions.copy()
+
+    def step(self, observation: Observation) -> Correction:
+        self._posture[:] = observation.positions
+        return Correction(self._posture, None, np.ones(len(self._posture)), 1.0)
+
+
+def test_a_corrector_may_reuse_its_arrays(take: Take) -> None:
+    scores = np.ones(take.state.shape)
+    seen = Observation(take.positions, scores, scores, take.time)
+    np.testing.assert_array_equal(Reusing().whole(seen).positions, take.positions)
 
 
 class Still(Corrector):

@@ -7,14 +7,15 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from known_motions import pulled_through
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, Tracking, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import IDENTITY
-from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.physics import pulled_character as pulled
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
     return found
 
 
-def _momentum(character: PhysicsFilter) -> Array:
+def _momentum(character: PulledCharacter) -> Array:
     model, data = character.model, mujoco.MjData(character.model)
     mujoco.mj_copyData(data, model, character.data)
     mujoco.mj_fwdPosition(model, data)
@@ -54,7 +55,7 @@ def test_it_is_what_the_momentum_gains_beyond_gravity_floor_and_pushes(
 ) -> None:
     act = perform(motion, BODY, seed=3)
     dt = float(act.time[1] - act.time[0])
-    character = PhysicsFilter(BODY, Tracking(natural_frequency=frequency))
+    character = PulledCharacter(BODY, Tracking(natural_frequency=frequency))
     character.start(act.positions[0], act.rotations[0])
     push = np.array([0.0, 0.3, 1.0]) * pushed
     differences, sizes = [], []
@@ -83,6 +84,8 @@ def test_in_the_air_it_is_what_the_motion_needs_however_hard_the_pulls() -> None
     rotations = np.tile(IDENTITY, (*positions.shape[:2], 1))
     needed = np.hypot(GRAVITY, 0.2 * pace**2 * np.sin(pace * (time - 0.5 / 30.0)))
     for frequency in (30.0, 60.0, 90.0):
-        character = PhysicsFilter(BODY, Tracking(natural_frequency=frequency))
-        found = character.run(time, positions, rotations).trace.external_force
+        character = PulledCharacter(BODY, Tracking(natural_frequency=frequency))
+        found = pulled_through(
+            character, time, positions, rotations
+        ).trace.external_force
         np.testing.assert_allclose(found[10:], needed[10:] / GRAVITY, atol=0.05)

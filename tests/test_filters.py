@@ -84,7 +84,7 @@ def test_ends_stay_where_a_joint_was_seen_and_unseen_joints_stay_open() -> None:
 @whole_take
 def test_they_see_whole_takes_only(corrector: Corrector) -> None:
     with pytest.raises(InputError, match="cannot correct it frame by frame"):
-        corrector.step(take_of(noise(5)).frame(0))
+        corrector.step(take_of(noise(5)).at(0))
 
 
 @whole_take

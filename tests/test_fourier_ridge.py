@@ -151,7 +151,7 @@ def test_far_from_what_was_learned_nothing_is_moved(model: FourierRidge) -> None
     assert found.coverage.max() < 1e-6
     model.start()
     for k in range(len(far)):
-        stepped = model.step(take.frame(k)).positions
+        stepped = model.step(take.at(k)).positions
         np.testing.assert_allclose(stepped, far[k], atol=1e-9)
 
 
@@ -220,7 +220,7 @@ def test_live_motion_goes_on_after_a_pause(model: FourierRidge) -> None:
     take = _observation(seen)
     late = replace(take, time=take.time + np.where(np.arange(30) < 15, 0.0, 5.0))
     model.start()
-    made = np.array([model.step(late.frame(k)).positions for k in range(30)])
+    made = np.array([model.step(late.at(k)).positions for k in range(30)])
     assert np.isfinite(made).all()
     assert 0.01 < np.abs(made - seen).max() < 0.2
 
@@ -320,7 +320,7 @@ def test_limbs_on_the_far_side_are_put_where_a_sensor_in_front_saw_them() -> Non
         if sensor[0, 0] <= 0.0:  # not on the other side
             np.testing.assert_allclose(away[:, right], 0.0, atol=0.01)
         model.start()
-        live = [model.step(take.frame(k)).positions for k in range(120)]
+        live = [model.step(take.at(k)).positions for k in range(120)]
         away = np.abs(np.array(live) - truth)
         assert least <= away[:, left].max(axis=1).mean() < 1.5 * most
 
@@ -343,7 +343,7 @@ def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
                 knowing.whole(_observation(own[ann])).positions,
                 np.array(
                     [
-                        knowing.step(_observation(own[ann]).frame(k)).positions
+                        knowing.step(_observation(own[ann]).at(k)).positions
                         for k in range(ann.sum())
                     ]
                 ),

@@ -34,7 +34,8 @@ from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.page import contents_of as page_contents
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics import Performance, pull_through
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.settings import Settings
 from kinefilter.scenes.library import perform
 
@@ -146,22 +147,22 @@ def test_a_part_of_one_frame_or_with_nobody_is_a_part_all_the_same() -> None:
 
 def test_things_stay_where_they_are_when_the_character_starts_again() -> None:
     body = standard_body(KINECT_V1)
-    character = PhysicsFilter(body, scene="basketball")
+    character = PulledCharacter(body, scene="basketball")
     joint = character.model.body("ball").jntadr[0]
     ball = slice(*(character.model.jnt_qposadr[joint] + [0, 2]))
 
-    def frames() -> Iterator[int]:
+    def frames(_count: int) -> Iterator[int]:
         """Put the ball elsewhere before the gap."""
         yield from range(2)
         character.data.qpos[ball] = [2.0, 3.0]
         yield 2
 
-    result = character.run(
+    still = Performance(
         np.array([0.0, 0.03, 60.0]),
         np.tile(body.rest_positions, (3, 1, 1)),
         np.tile(IDENTITY, (3, len(KINECT_V1), 1)),
-        frames=frames(),
     )
+    (result,) = pull_through([character], [still], frames)
     np.testing.assert_allclose(character.data.qpos[ball], [2.0, 3.0], atol=0.1)
     assert not result.trace.reset.any()
 

@@ -13,7 +13,7 @@ from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def test_two_hands_lift_a_parcel_and_let_it_go(tmp_path: Path, shape: str) -> No
     apart = np.interp(time, [0.0, 1.0, 4.0, 4.5], [0.25, touch, touch, 0.3])
     height = np.interp(time, [0.0, 1.5, 3.0], [1.0, 1.0, 1.35])
     positions, rotations = reaching(apart, height)
-    character = PhysicsFilter(BODY, scene=scene)
+    character = PulledCharacter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
     stands = np.ones(2, dtype=bool)
     heights = []
@@ -82,7 +82,7 @@ def test_hands_let_go_when_they_are_to_part_and_not_when_they_tremble(
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
     apart = np.append(np.linspace(0.25, touch, 40), [touch + 0.02] + [touch + 0.1] * 9)
     positions, rotations = reaching(apart, np.full(len(apart), 1.0))
-    character = PhysicsFilter(BODY, scene=scene)
+    character = PulledCharacter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
     holds = []
     for posture, turned in zip(positions[1:], rotations[1:], strict=True):
@@ -92,13 +92,13 @@ def test_hands_let_go_when_they_are_to_part_and_not_when_they_tremble(
     assert [holds[0], *holds[38:41], holds[-1]] == [False, True, True, True, False]
 
 
-def holding(scene: Path, xml: str) -> PhysicsFilter:
+def holding(scene: Path, xml: str) -> PulledCharacter:
     """Return a character after two seconds with both hands beside the parcel."""
     scene.write_text(xml)
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
     apart = np.append(np.linspace(0.25, touch, 40), np.full(20, touch))
     positions, rotations = reaching(apart, np.full(len(apart), 1.0))
-    character = PhysicsFilter(BODY, scene=scene)
+    character = PulledCharacter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
     for posture, turned in zip(positions[1:], rotations[1:], strict=True):
         character.step(posture, turned, 1 / 30, stands=np.ones(2, dtype=bool))
@@ -188,7 +188,7 @@ def test_hidden_hands_keep_what_they_hold(tmp_path: Path, seen: bool) -> None:
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
     apart = np.append(np.linspace(0.25, touch, 40), np.linspace(touch, 0.3, 40))
     positions, rotations = reaching(apart, np.full(len(apart), 1.0))
-    character = PhysicsFilter(BODY, scene=scene)
+    character = PulledCharacter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
     for k in range(1, len(apart)):
         hands = np.array([seen or k < 40] * 2)
@@ -213,7 +213,7 @@ def test_a_mimed_lift_lifts_the_box_and_puts_it_down(seed: int) -> None:
 def test_hands_far_from_props_stay_the_performers() -> None:
     take = simulate("box", "wave", seed=1).take
     body = clean(take).clip.body
-    character = PhysicsFilter(body, scene="box")
+    character = PulledCharacter(body, scene="box")
     rest = body.rest_positions
     for _ in range(3):
         target = character.grasp.target(rest, np.zeros((len(rest), 4)), 1 / 30)
@@ -236,7 +236,7 @@ def test_the_weight_of_what_is_held_is_no_external_force(tmp_path: Path) -> None
     touch = 0.12 + BODY.radii[KINECT_V1.index("HandLeft")]
     apart = np.append(np.linspace(0.25, touch, 40), np.full(60, touch))
     positions, rotations = reaching(apart, np.full(len(apart), 1.0))
-    character = PhysicsFilter(BODY, scene=scene)
+    character = PulledCharacter(BODY, scene=scene)
     character.start(positions[0], rotations[0])
     for k in range(1, len(apart)):
         character.step(

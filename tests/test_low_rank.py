@@ -181,7 +181,7 @@ def test_joints_never_seen_stay_open_and_do_not_matter() -> None:
 def test_takes_of_any_length_and_of_zeros_are_finite(frames: int) -> None:
     corrector = LowRank()
     with pytest.raises(InputError, match="cannot correct it frame by frame"):
-        corrector.step(take_of(movement(frames, 2)).frame(0))
+        corrector.step(take_of(movement(frames, 2)).at(0))
     assert np.isfinite(recovered(corrector, movement(frames, 2))).all()
     zeros = np.zeros((frames, JOINTS, 3))
     np.testing.assert_array_equal(recovered(corrector, zeros), zeros)

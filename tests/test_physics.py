@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from known_motions import pulled_through
 from numpy.typing import NDArray
 from real_data import TAKES, recorded
 
@@ -30,7 +31,6 @@ from kinefilter.characters.rotations import (
     rotation_vector,
 )
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
-from kinefilter.pipeline.physics import PhysicsFilter
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.physics.world import steps_in
 from kinefilter.retarget import HeadingFrame
@@ -50,13 +50,13 @@ def _standing(count: int, lift: float = 0.0) -> tuple[Array, Array, Array]:
 
 def test_in_the_air_the_pull_carries_the_weight_and_does_not_sag() -> None:
     time, positions, rotations = _standing(60, lift=1.0)
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     np.testing.assert_allclose(result.positions[-1], positions[-1], atol=1e-4)
 
 
 def test_a_weight_more_than_expected_sags_by_gravity_over_frequency_squared() -> None:
     _, positions, rotations = _standing(1, lift=1.0)
-    character = PhysicsFilter(BODY, Tracking(natural_frequency=50.0))
+    character = PulledCharacter(BODY, Tracking(natural_frequency=50.0))
     character.model.opt.gravity[2] *= 2.0
     character.start(positions[0], rotations[0])
     for _ in range(60):
@@ -67,7 +67,7 @@ def test_a_weight_more_than_expected_sags_by_gravity_over_frequency_squared() ->
 
 def test_in_the_air_the_external_force_is_one_body_weight() -> None:
     time, positions, rotations = _standing(60, lift=1.0)
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert result.trace.external_force[-1] == pytest.approx(1.0, rel=0.01)
     assert result.trace.contacts[-1] == 0
 
@@ -75,7 +75,7 @@ def test_in_the_air_the_external_force_is_one_body_weight() -> None:
 def test_on_the_floor_the_floor_carries() -> None:
     time, positions, rotations = _standing(60)
     positions[..., 1] -= 0.02
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert result.trace.contacts[-1] >= 2
     assert lowest_point(result.positions, BODY).min() > -0.002
 
@@ -83,7 +83,9 @@ def test_on_the_floor_the_floor_carries() -> None:
 def test_who_stands_is_carried_by_the_floor_alone() -> None:
     time, positions, rotations = _standing(60)
     stands = np.ones((60, 2), dtype=bool)
-    result = PhysicsFilter(BODY).run(time, positions, rotations, stands=stands)
+    result = pulled_through(
+        PulledCharacter(BODY), time, positions, rotations, stands=stands
+    )
     assert result.trace.external_force[-1] < 0.06
     assert result.trace.contacts[-1] >= 4  # heels and toes
     np.testing.assert_allclose(result.positions, positions, atol=1e-3)
@@ -91,7 +93,7 @@ def test_who_stands_is_carried_by_the_floor_alone() -> None:
 
 def test_on_one_foot_the_other_does_not_press() -> None:
     _, positions, rotations = _standing(1)
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     character.start(positions[0], rotations[0])
     for _ in range(30):
         character.step(
@@ -111,7 +113,7 @@ def test_on_one_foot_the_other_does_not_press() -> None:
 def test_quick_movement_is_followed_within_millimeters_and_without_lag() -> None:
     time, positions, rotations = _standing(120, lift=1.0)
     positions[..., 0] += 0.3 * np.sin(2.0 * np.pi * 1.5 * time)[:, None]
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     behind = (positions - result.positions)[10:, :, 0]
     assert np.abs(behind).max() < 0.005
 
@@ -130,7 +132,7 @@ def test_no_knee_folds_farther_than_people_can() -> None:
         np.cos(angle / 2),
         np.sin(angle / 2),
     )
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert not result.trace.reset.any()
     thigh = result.positions[-1, knee] - result.positions[-1, hip]
     lower = result.positions[-1, ankle] - result.positions[-1, knee]
@@ -168,7 +170,7 @@ def test_a_hand_pulled_into_the_trunk_stays_outside() -> None:
     wrist = hand + fingers / (forearm + fingers) * (elbow - hand)
     share = np.minimum(time / 1.0, 1.0)[:, None, None]
     positions[:, arm] += share * (np.array([elbow, wrist, hand]) - positions[:, arm])
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     hand = result.positions[-1, KINECT_V1.index("HandLeft")]
     trunk = result.positions[-1, [spine, center]]
     along = trunk[1] - trunk[0]
@@ -181,14 +183,16 @@ def test_a_hand_pulled_into_the_trunk_stays_outside() -> None:
 def test_constant_velocity_is_followed_without_lag() -> None:
     time, positions, rotations = _standing(60, lift=1.0)
     positions[..., 0] += 1.5 * time[:, None]
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     behind = positions[-1, :, 0] - result.positions[-1, :, 0]
     np.testing.assert_allclose(behind, 0.0, atol=5e-4)
 
 
 def test_a_performed_motion_is_followed_closely() -> None:
     act = perform("wave", BODY, seed=3)
-    result = PhysicsFilter(BODY).run(act.time, act.positions, act.rotations)
+    result = pulled_through(
+        PulledCharacter(BODY), act.time, act.positions, act.rotations
+    )
     assert result.trace.status == "ok"
     away = np.linalg.norm(result.positions - act.positions, axis=2)
     assert away.mean() < 0.01
@@ -203,7 +207,7 @@ def test_twist_alone_is_followed() -> None:
     half = angle / 2.0
     about_arm = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=1)
     rotations[:, arm] = about_arm[:, None]
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     turned = rotation_vector(multiply(result.rotations, inverse(rotations)))
     assert np.degrees(np.linalg.norm(turned[:, arm], axis=2)).max() < 6.0
 
@@ -212,7 +216,7 @@ def test_bone_lengths_hold_whatever_the_target_does() -> None:
     rng = np.random.default_rng(0)
     time, positions, rotations = _standing(90)
     positions = positions + 0.2 * rng.standard_normal(positions.shape)
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert bone_length_cv(result.positions, BODY) < 1e-9
     assert jitter(time, result.positions) < jitter(time, positions)
     assert np.isfinite(result.positions).all()
@@ -220,7 +224,7 @@ def test_bone_lengths_hold_whatever_the_target_does() -> None:
 
 def test_forces_stay_within_their_bound() -> None:
     _, positions, rotations = _standing(2)
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     character.start(positions[0], rotations[0])
     character.step(positions[1] + [2.0, 2.0, 2.0], rotations[1], 1 / 30)
     forces = character.data.actuator_force[: 3 * len(KINECT_V1)].reshape(-1, 3)
@@ -237,7 +241,7 @@ def test_a_diverging_simulation_is_reset_reported_and_never_written(
     time, positions, rotations = _standing(40)
     positions[20:, :, 0] += 1.0
     wild = Tracking(natural_frequency=5000.0, largest_acceleration=1e9)
-    result = PhysicsFilter(BODY, wild).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY, wild), time, positions, rotations)
     assert result.trace.reset.any()
     assert "reset" in result.trace.status
     assert np.isfinite(result.positions).all()
@@ -249,13 +253,13 @@ def test_a_diverging_simulation_is_reset_reported_and_never_written(
 def test_starting_again_forgets_the_last_frames_and_pushes() -> None:
     _, positions, rotations = _standing(1)
 
-    def followed(character: PhysicsFilter) -> Array:
+    def followed(character: PulledCharacter) -> Array:
         character.start(positions[0], rotations[0])
         for _ in range(10):
             character.step(positions[0] + [0.05, 0.0, 0.0], rotations[0], 1 / 30)
         return character.positions.copy()
 
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     first = followed(character)
     character.push("Head", np.array([300.0, 0.0, 0.0]), 60.0)
     character.step(positions[0], rotations[0], 1 / 30)
@@ -268,7 +272,7 @@ def test_a_push_gives_force_times_time_at_any_frame_rate(
     rate: float, seconds: float
 ) -> None:
     _, positions, rotations = _standing(1, lift=1.0)
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     character.limp = True
     character.model.opt.gravity[:] = 0.0
     character.start(positions[0], rotations[0])
@@ -286,7 +290,7 @@ def test_a_push_gives_force_times_time_at_any_frame_rate(
 
 
 def test_a_new_character_stands_in_t_pose_and_can_be_led_from_there() -> None:
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     np.testing.assert_allclose(character.positions, BODY.rest_positions, atol=1e-9)
     _, positions, rotations = _standing(1)
     assert character.step(positions[0], rotations[0], 1 / 30)
@@ -296,13 +300,13 @@ def test_a_new_character_stands_in_t_pose_and_can_be_led_from_there() -> None:
 def test_a_step_without_time_is_refused(dt: float) -> None:
     _, positions, rotations = _standing(1)
     with pytest.raises(InputError, match="time since the last"):
-        PhysicsFilter(BODY).step(positions[0], rotations[0], dt)
+        PulledCharacter(BODY).step(positions[0], rotations[0], dt)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_target_that_is_not_finite_is_refused_and_harms_nothing(wrong: float) -> None:
     _, positions, rotations = _standing(1)
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     for broken in (positions[0].copy(), rotations[0].copy()):
         broken[3] = wrong
         frame = {3: positions[0], 4: rotations[0]} | {broken.shape[1]: broken}
@@ -316,7 +320,7 @@ def test_a_target_that_is_not_finite_is_refused_and_harms_nothing(wrong: float) 
 
 def test_a_limp_character_falls_and_one_that_is_held_does_not() -> None:
     _, positions, rotations = _standing(1, lift=0.5)
-    character = PhysicsFilter(BODY)
+    character = PulledCharacter(BODY)
     fallen = []
     for limp in (False, True, False):
         character.limp = limp
@@ -343,14 +347,16 @@ def test_a_long_gap_takes_more_steps_not_longer_ones() -> None:
     time, positions, rotations = _standing(3)
     time = np.array([0.0, 1 / 30, 2.0])
     positions[2, :, 0] += 0.5
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert result.trace.status == "ok"
     np.testing.assert_allclose(result.positions[2], positions[2], atol=0.02)
 
 
 def test_rotations_and_positions_agree() -> None:
     act = perform("squat", _tall(), seed=2)
-    result = PhysicsFilter(_tall()).run(act.time, act.positions, act.rotations)
+    result = pulled_through(
+        PulledCharacter(_tall()), act.time, act.positions, act.rotations
+    )
     root = result.positions[:, KINECT_V1.root]
     np.testing.assert_allclose(
         positions_from_rotations(result.rotations, root, _tall()),
@@ -365,7 +371,9 @@ def test_the_result_turns_with_the_target() -> None:
     turned = positions_from_rotations(
         multiply(turn, rotations), positions[:, KINECT_V1.root], BODY
     )
-    result = PhysicsFilter(BODY).run(time, turned, multiply(turn, rotations))
+    result = pulled_through(
+        PulledCharacter(BODY), time, turned, multiply(turn, rotations)
+    )
     np.testing.assert_allclose(result.positions[-1], turned[-1], atol=0.01)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from known_motions import pulled_through
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
@@ -20,7 +21,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.humanoid import build_humanoid, to_mujoco
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes import SCENES, load_scene, scene_xml
 from kinefilter.scenes.library import movable_props, perform, prop_poses
 from kinefilter.scenes.sensor import Sensor
@@ -248,7 +249,7 @@ def test_the_physics_filter_runs_in_every_scene(scene: str) -> None:
 
     def run(place: str | None) -> NDArray[np.float64]:
         time = np.arange(frames) / 30.0
-        result = PhysicsFilter(BODY, scene=place).run(time, still, turns)
+        result = pulled_through(PulledCharacter(BODY, scene=place), time, still, turns)
         assert result.trace.status == "ok"
         return np.asarray(result.positions)
 

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_motions import pulled_through
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, Prop, standard_body
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import IDENTITY, about_y, multiply, rotate
 from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.retarget import HeadingFrame
 
 BODY = standard_body(KINECT_V1)
@@ -41,8 +42,8 @@ def things(
     time = np.arange(round(seconds * 30)) / 30.0
     positions = np.tile(BODY.rest_positions, (len(time), 1, 1))
     rotations = np.tile(IDENTITY, (len(time), len(KINECT_V1), 1))
-    character = PhysicsFilter(BODY, scene=tmp_path / "things.xml")
-    result = character.run(time, positions, rotations)
+    character = PulledCharacter(BODY, scene=tmp_path / "things.xml")
+    result = pulled_through(character, time, positions, rotations)
     return {prop.name: prop for prop in result.scene_props.props(place)}
 
 
@@ -92,7 +93,7 @@ def test_without_a_scene_there_is_nothing() -> None:
     time = np.arange(3) / 30.0
     positions = np.tile(BODY.rest_positions, (3, 1, 1))
     rotations = np.tile(IDENTITY, (3, len(KINECT_V1), 1))
-    result = PhysicsFilter(BODY).run(time, positions, rotations)
+    result = pulled_through(PulledCharacter(BODY), time, positions, rotations)
     assert result.scene_props.props(HERE) == ()
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_motions import pulled_through
 from numpy.typing import NDArray
 
 from kinefilter import Avatar, CleanConfig, clean
@@ -13,7 +14,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
 from kinefilter.characters import standard_body as body_of
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.correct import Hold
-from kinefilter.pipeline.physics import PhysicsFilter
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import sample_take
@@ -101,7 +102,9 @@ def test_a_hand_pressed_against_the_thigh_does_not_fold() -> None:
     assert np.abs(positions[-1, chain[-1], 0] - hip[-1, 0]).max() < 0.06  # in the thigh
     positions = BoneLengths(body).project(positions, np.ones(positions.shape[:2]))
     rotations = rotations_from_positions(positions, body, None)
-    clip = PhysicsFilter(body).run(np.arange(60) / 30.0, positions, rotations)
+    clip = pulled_through(
+        PulledCharacter(body), np.arange(60) / 30.0, positions, rotations
+    )
     assert bends(clip.positions, KINECT_V1).max() < 62.0
 
 

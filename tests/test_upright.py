@@ -69,6 +69,16 @@ def test_a_take_from_a_sensor_upside_down_is_cleaned_as_one_that_was_not(
     assert not told(level, "sensor")
 
 
+def test_a_take_with_a_long_gap_is_turned_as_a_whole() -> None:
+    take = standing("down")
+    take = replace(take, time=take.time + 5.0 * (np.arange(len(take)) >= 45))
+    level, over = clean(take, QUICK), clean(turned(take, "z", 180.0), QUICK)
+    assert over.clip.roll == pytest.approx(np.pi)
+    assert told(over, "upside down")
+    moved = (result.stages["corrected"].moved_cm for result in (level, over))
+    np.testing.assert_allclose(*moved, atol=1e-3)
+
+
 @pytest.mark.parametrize(("axes", "degrees"), [("x", 30.0), ("x", -45.0), ("z", 30.0)])
 def test_who_stands_before_a_tilted_sensor_stands_upright(
     axes: str, degrees: float

@@ -78,6 +78,10 @@ class Hold(Corrector):
 
     Hands and feet that have not been measured yet extend the forearm or shin as in the
     rest pose.
+
+    Attributes:
+        last: The last frame [m], shape (J, 3); at first the rest pose.
+        measured: Whether each joint was measured so far, shape (J,).
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -91,8 +95,8 @@ class Hold(Corrector):
 
     def start(self) -> None:
         """Reset the state for a new motion."""
-        self._last: Array = self._rest
-        self._measured = np.zeros(len(self._rest), dtype=np.bool_)
+        self.last: Array = self._rest
+        self.measured = np.zeros(len(self._rest), dtype=np.bool_)
 
     def _extend(self, postures: Array, measured: Flags) -> None:
         """Place hands and feet that were not ``measured`` yet in postures (T, J, 3)."""
@@ -112,11 +116,11 @@ class Hold(Corrector):
         filled = positions.copy()
         missing = np.isnan(positions[..., 0])
         for k in np.flatnonzero(missing.any(axis=1)):
-            last = filled[k - 1] if k else self._last
+            last = filled[k - 1] if k else self.last
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))
-        measured = np.logical_or.accumulate(np.vstack([self._measured, ~missing]))[1:]
+        measured = np.logical_or.accumulate(np.vstack([self.measured, ~missing]))[1:]
         self._extend(filled, measured)
-        self._measured, self._last = measured[-1], filled[-1]
+        self.measured, self.last = measured[-1], filled[-1]
         return filled
 
     def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
@@ -136,7 +140,7 @@ class Hold(Corrector):
 
         Positions (J, 3) may be NaN where their share, ``confidence`` (J,), is 0.
         """
-        self._last = self._blend(self._last, positions, confidence)
-        self._measured = self._measured | (confidence > 0.0)
-        self._extend(self._last[None], self._measured[None])
-        return self._last
+        self.last = self._blend(self.last, positions, confidence)
+        self.measured = self.measured | (confidence > 0.0)
+        self._extend(self.last[None], self.measured[None])
+        return self.last

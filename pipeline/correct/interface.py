@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -38,25 +39,9 @@ class Observation:
     sensor: Array | None = None
     """Position of the sensor [m] in the heading frame, shape (3,)."""
 
-    def frame(self, k: int) -> Observation:
-        """Return one frame of a take."""
-        return replace(self.frames(k), time=float(self.time[k]))
-
-    def frames(self, some: Any) -> Observation:
-        """Return some frames of a take; any index of its frames selects them."""
-        scores = self.reliability[some], self.geometry[some]
-        sensor = None if self.sensor is None else self.sensor[some]
-        context = self.time[some], self.lengths, sensor
-        return Observation(self.positions[some], *scores, *context)
-
-    def as_take(self) -> Observation:
-        """Return a frame as a take of one frame."""
-        scores, time = (
-            (self.reliability[None], self.geometry[None]),
-            np.array([self.time]),
-        )
-        sensor = None if self.sensor is None else self.sensor[None]
-        return Observation(self.positions[None], *scores, time, self.lengths, sensor)
+    def at(self, frames: Any) -> Observation:
+        """Return a frame or some of a take; None makes a take of a frame."""
+        return replace(self, **_rows(self, frames))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +62,17 @@ class Correction:
     """How well the method knows the posture, in [0, 1]: a number, or for a take an
     array of shape (T,); NaN if the method cannot say."""
 
-    def frame(self, k: int) -> Correction:
-        """Return one frame of a take."""
-        rotations = None if self.rotations is None else self.rotations[k]
-        coverage = float(self.coverage[k])
-        return Correction(self.positions[k], rotations, self.confidence[k], coverage)
+    def at(self, frames: Any) -> Correction:
+        """Return a frame or some of a take; None makes a take of a frame."""
+        return Correction(**_rows(self, frames))
+
+
+def _rows(values: Observation | Correction, frames: Any) -> dict[str, Any]:
+    return {
+        name: None if value is None else np.asarray(value)[frames]
+        for name, value in vars(values).items()
+        if name != "lengths"
+    }
 
 
 class Corrector:
@@ -102,23 +93,14 @@ class Corrector:
 
     def whole(self, take: Observation, frames: Frames = None) -> Correction:
         """Correct a whole take; by default ``start``, then ``step`` for each frame."""
-        count = len(take.positions)
         self.start()
-        arrays: dict[str, Any] = {}
-        for k in range(count) if frames is None else frames:
-            for name, value in vars(self.step(take.frame(k))).items():
-                if k == 0:
-                    shape = (count, *np.shape(value))
-                    arrays[name] = None if value is None else np.empty(shape)
-                if arrays[name] is not None:
-                    arrays[name][k] = value
-        return Correction(**arrays)
+        steps = range(len(take.positions)) if frames is None else frames
+        # Copies, as a method may write every frame into the same arrays.
+        return joined([deepcopy(self.step(take.at(k))).at(None) for k in steps])
 
 
 def joined(parts: Sequence[Correction]) -> Correction:
     """Return consecutive parts of a take as one; with rotations, all of them have."""
-    if len(parts) == 1:
-        return parts[0]
     rows: Any = zip(*(vars(part).values() for part in parts), strict=True)
     arrays: list[Any] = [None if r[0] is None else np.concatenate(r) for r in rows]
     return Correction(*arrays)

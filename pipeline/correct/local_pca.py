@@ -103,7 +103,7 @@ class LocalPCA(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
-        return self._correct(observation.as_take(), range(1)).frame(0)
+        return self._correct(observation.at(None), range(1)).at(0)
 
     def whole(self, take: Observation, frames: Frames = None) -> Correction:
         """Correct a whole take; only the search goes from frame to frame."""
@@ -112,7 +112,7 @@ class LocalPCA(Corrector):
         steps = iter(range(count) if frames is None else frames)
         parts = []
         for some in chunks(count, _CHUNK):
-            part = take.frames(some)
+            part = take.at(some)
             parts.append(self._correct(part, islice(steps, len(part.positions))))
         return joined(parts)
 

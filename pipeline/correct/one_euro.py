@@ -42,8 +42,7 @@ class OneEuro(Corrector):
         """Reset the state for a new motion."""
         self._hold.start()
         self._time: float | None = None
-        self._last, self._velocity = np.zeros((2, len(self.skeleton), 3))
-        self._measured = np.zeros(len(self.skeleton), dtype=bool)
+        self._velocity = np.zeros((len(self.skeleton), 3))
 
     def step(self, observation: Observation) -> Correction:
         """Filter the next frame; time stamps increase, and may start at 0."""
@@ -51,22 +50,21 @@ class OneEuro(Corrector):
         if self._time is not None:
             step = max(observation.time - self._time, _LEAST_STEP)
             measured = self._filter(measured, step)
-        result = self._hold.step(replace(observation, positions=measured))
-        self._time, self._last = observation.time, result.positions
-        self._measured = self._measured | ~np.isnan(measured[:, 0])
-        return result
+        self._time = observation.time
+        return self._hold.step(replace(observation, positions=measured))
 
     def _filter(self, positions: Array, step: float) -> Array:
         """Return the filtered frame [m], NaN where missing, (J, 3) (algorithm 1)."""
-        change = np.where(self._measured[:, None], positions - self._last, 0.0)
+        last, known = self._hold.last, self._hold.measured[:, None]
+        change = np.where(known, positions - last, 0.0)
         # A missing joint is held, so it comes to rest.
         velocity = np.nan_to_num(change) / step
         share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
         speed = np.sqrt(np.sum(self._velocity**2, axis=1, keepdims=True))
         cutoff = self.min_cutoff + self.beta * speed
-        smooth = self._last + _newest_share(cutoff, step) * change
-        return np.where(self._measured[:, None], smooth, positions)
+        smooth = last + _newest_share(cutoff, step) * change
+        return np.where(known, smooth, positions)
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

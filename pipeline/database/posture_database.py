@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import (
     check_kind,
 )
 from kinefilter.characters.skeleton import check_skeleton
-from kinefilter.pipeline.formats.files import as_path
+from kinefilter.pipeline.formats.files import as_path, refused
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 
 _ARRAYS = ("positions", "rotations", "labels")
@@ -123,33 +123,24 @@ class PostureDatabase:
     @classmethod
     def load(cls, path: Path) -> PostureDatabase:
         """Read a database that ``save`` wrote; raises InputError for other files."""
+        make = "make one with 'kinefilter database build'"
         if not as_path(path).is_file():
-            raise InputError(
-                f"{path}: no such database; make one with 'kinefilter database build'"
-            )
+            raise InputError(f"{path}: no such database; {make}")
         arrays = read_arrays(path, "a motion database of 'kinefilter database build'")
-        try:
+        with refused(path, f"not a kinefilter motion database; {make}"):
             skeleton = skeleton_named(str(arrays["skeleton"]))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
             spacing = float(np.asarray(arrays.get("spacing", np.nan)).item())
             places, turns, labels = (arrays[name] for name in _ARRAYS)
             shape = (len(labels), len(skeleton))
-            sound = (
+            if not (
                 (places.shape, turns.shape) == ((*shape, 3), (*shape, 4))
                 and shape[0] >= 2
                 and (labels.ndim, labels.dtype.kind) == (1, "U")
                 and bool(np.isfinite(places).all() and np.isfinite(turns).all())
                 and not spacing <= 0.0
-            )
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        except (KeyError, ValueError, TypeError):  # the arrays of another kind of file
-            sound = False
-        if not sound:
-            raise InputError(
-                f"{path}: not a kinefilter motion database; make one with 'kinefilter "
-                "database build'"
-            )
+            ):
+                raise ValueError("arrays of another kind of file")
         database = cls(places, turns, labels, skeleton, str(path), recorded)
         if np.isfinite(spacing):
             vars(database)["spacing"] = spacing

@@ -109,7 +109,7 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     """
     import mujoco  # by now its OpenGL is chosen
 
-    from kinefilter.pipeline.physics.filter import SceneProps
+    from kinefilter.pipeline.physics.scene_props import SceneProps
     from kinefilter.scenes import load_scene
 
     model = load_scene(scene).compile()

@@ -12,7 +12,7 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.progress import Progress, over, silent
+from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import IDENTITY, Alignment, check_sensors
@@ -140,7 +140,7 @@ def fuse(
         fusion.start()
         fused = [
             fusion.step(frames[k], float(elapsed[k]), sides[k], headings[k])
-            for k in over(range(len(time)), sweep, progress)
+            for k in progress(sweep, len(time))
         ]
     arrays = map(np.array, zip(*fused, strict=True))
     positions, state, reliability, shares, swapped = arrays

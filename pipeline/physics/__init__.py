@@ -1,5 +1,5 @@
 """A simulated character that bounded forces pull through a motion."""
 
-from .filter import PhysicsFilter, PhysicsResult, PhysicsTrace
+from .filter import Performance, PhysicsResult, PhysicsTrace, pull_through
 
-__all__ = ["PhysicsFilter", "PhysicsResult", "PhysicsTrace"]
+__all__ = ["Performance", "PhysicsResult", "PhysicsTrace", "pull_through"]

@@ -1,128 +1,26 @@
-"""The physics filter: a capsule humanoid pulled through the corrected motion."""
+"""The physics filter: capsule humanoids pulled through the motions of a recording."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Prop, Shape, ShapeKind, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import LONG_GAP
-from kinefilter.characters.humanoid import from_mujoco, to_mujoco
-from kinefilter.characters.rotations import continuous
-from kinefilter.retarget import HeadingFrame
+from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.characters.motion import positions_from_rotations
+from kinefilter.characters.rotations import continuous, slerp
 
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
+from .scene_props import SceneProps
 
-SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
+_SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
+_UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
-_KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", [0, 1, 2]),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", [0, 0, 1]),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", [0, 0, 1]),
-    int(mujoco.mjtGeom.mjGEOM_MESH): ("mesh", [0, 1, 2]),
-}
-"""Kind of shape by type of geom, and which of its sizes are the half extents."""
-_LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
-_UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
-
-
-class SceneProps:
-    """The visible props of a scene, recorded frame by frame.
-
-    That is, all bodies but those of ``characters``, the indices of their root bodies.
-    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
-    MuJoCo's world, shape (frames, N, 7).
-    """
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        characters: Sequence[int],
-        frames: int,
-    ) -> None:
-        self._model, self._data = model, data
-        visible = np.flatnonzero(
-            np.isin(model.geom_type, list(_KINDS))
-            & (model.geom_group <= _LAST_VISIBLE)
-            & (model.geom_rgba[:, 3] > 0.0)
-        )
-        self._geoms = {
-            int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
-            for body in dict.fromkeys(model.geom_bodyid[visible])
-            if model.body_rootid[body] not in characters
-        }
-        self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
-        self.poses = np.empty((frames, len(self._moving), 7))
-
-    def record(self, frame: int) -> None:
-        """Record the current poses as those of a frame."""
-        if self._moving:
-            self.poses[frame, :, :3] = self._data.xpos[self._moving]
-            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
-
-    @property
-    def moving(self) -> tuple[str, ...]:
-        """Names of the props that can move."""
-        return tuple(self._name(body) for body in self._moving)
-
-    @property
-    def now(self) -> tuple[Array, Array]:
-        """Last positions [m], (N, 3), and rotations, wxyz, (N, 4), of these props."""
-        poses = self.poses[-1]
-        return from_mujoco(poses[:, :3]), from_mujoco(poses[:, 3:])
-
-    def _name(self, body: int) -> str:
-        return self._model.body(body).name or f"body{body}"
-
-    def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
-        """Return the props and their motion in the world frame of a take.
-
-        ``place`` is the frame that was removed from the take to put it into the scene.
-        """
-        return tuple(self._prop(body, place) for body in self._geoms)
-
-    def _prop(self, body: int, place: HeadingFrame) -> Prop:
-        poses = np.append(self._data.xpos[body], self._data.xquat[body])[None]
-        if body in self._moving:
-            poses = self.poses[:, self._moving.index(body)]
-        return Prop(
-            self._name(body),
-            tuple(self._shape(geom) for geom in self._geoms[body]),
-            place.restore(from_mujoco(poses[:, None, :3]))[:, 0],
-            continuous(place.restore_rotations(from_mujoco(poses[:, 3:]))),
-        )
-
-    def _shape(self, geom: int) -> Shape:
-        model = self._model
-        kind, sizes = _KINDS[int(model.geom_type[geom])]
-        points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
-        if kind == "mesh":
-            mesh = model.mesh(model.geom_dataid[geom])
-            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
-            first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
-            triangles = model.mesh_face[first : first + count].astype(np.int64)
-        color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
-        if material >= 0 and np.allclose(color, _UNSET):
-            color = model.mat_rgba[material]
-        return Shape(
-            kind,
-            from_mujoco(model.geom_size[geom][sizes]),
-            from_mujoco(model.geom_pos[geom]),
-            from_mujoco(model.geom_quat[geom]),
-            color[:3].astype(float),
-            points,
-            triangles,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,88 +58,159 @@ class PhysicsResult:
     """The props of the scene, in the frame of the targets."""
 
 
-class PhysicsFilter(PulledCharacter):
-    """Pulls the humanoid of one body through whole motions."""
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """A person's targets, as for ``PulledCharacter.step``, with a leading axis T."""
 
-    def run(
-        self,
-        time: Array,
-        positions: Array,
-        rotations: Array,
-        *,
-        stands: Flags | None = None,
-        seen: Flags | None = None,
-        frames: Iterable[int] | None = None,
-    ) -> PhysicsResult:
-        """Pull the character through a whole motion; it restarts after long gaps.
+    time: Array
+    """Time stamps [s], strictly increasing, shape (T,)."""
+    positions: Array
+    rotations: Array
+    stands: Flags | None = None
+    """Whether each foot (left, right) bears weight, shape (T, 2); None if none does."""
+    seen: Flags | None = None
+    """Whether the sensor saw each hand, shape (T, 2); None if it always did."""
 
-        Time stamps [s] increase strictly, shape (T,); targets are as in ``step``, with
-        a leading axis T. ``stands`` says whether each foot (left, right) bears weight,
-        ``seen`` whether the sensor sees each hand, both of shape (T, 2). ``frames``
-        yields 0 to T - 1, for example for a progress bar.
-        """
-        count = len(time)
-        check_target(positions, rotations)
-        accelerations = accelerations_of(time, positions)
-        result, roots = np.empty_like(rotations), np.empty((count, 3))
+
+class _Cue:
+    """What one character does at the time stamps of everyone, and how it went."""
+
+    def __init__(
+        self, character: PulledCharacter, person: Performance, stamps: Array
+    ) -> None:
+        check_target(person.positions, person.rotations)
+        own, count = person.time, len(person.time)
+        self.character, self._person = character, person
+        self._accelerations = _accelerations(own, person.positions)
+        self._planned: tuple[int, Move] | None = None
+        last, stop = count - 1, np.searchsorted(own, stamps)
+        self._after = np.minimum(stop, last)  # the next own frame, or the last
+        self._before = np.maximum(self._after - 1, 0)
+        gap = own[self._after] - own[self._before]
+        inside = (stamps >= own[0]) & (stamps <= own[-1])
+        self._is_own = inside & (own[self._after] == stamps)
+        away = inside & ~self._is_own
+        self.solid = self._is_own | (away & (gap <= _UNSEEN))
+        # Whoever is away for long waits where they will appear.
+        held = ~inside | (gap > LONG_GAP) | self._is_own | (gap <= 0.0)
+        share = (stamps - own[self._before]) / np.where(gap > 0.0, gap, 1.0)
+        self._share = np.where(held, 1.0, share)
+        self.appears = np.zeros(len(stamps), dtype=bool)
+        self.appears[1:] = (np.diff(self._after) != 0) & (gap[1:] > LONG_GAP)
         types = (float, float, np.int64, np.bool_)
-        trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
-        things = SceneProps(self.model, self.data, [self.root_body], count)
-        own = np.isin(self.model.geom_bodyid, self._bodies)
-        for k in range(count) if frames is None else frames:
-            if k % _CHUNK == 0:
-                moves = self._moves(time, positions, rotations, accelerations, k)
-            target, dt = (positions[k], rotations[k]), float(time[k] - time[k - 1])
-            feet = None if stands is None else stands[k]
-            if k == 0 or dt > LONG_GAP:
-                self.start(*target, reset_props=k == 0)
-                # Hold the first target until the initial transient is gone.
-                for _ in range(SETTLING):
-                    self.step(*target, 1 / 30, stands=feet)
-            elif self.compliance is None and not self.grasp.props:
-                trace.reset[k] = not self.world.follow([moves[k % _CHUNK]], [feet])[0]
-            else:  # which changes the targets
-                gained = accelerations[k]
-                hands = None if seen is None else seen[k]
-                good = self.step(
-                    *target, dt, acceleration=gained, stands=feet, seen=hands
-                )
-                trace.reset[k] = not good
-            result[k], roots[k] = self.data.xquat[self._bodies], self.data.qpos[:3]
-            trace.external_force[k] = self.external_force
-            if self.data.ncon:
-                trace.contacts[k] = own[self.data.contact.geom].any(axis=1).sum()
-            things.record(k)
-        joints = np.empty_like(positions)
-        for some in chunks(count, _CHUNK):
-            result[some], places = from_mujoco(result[some]), from_mujoco(roots[some])
-            joints[some] = positions_from_rotations(result[some], places, self.body)
-            away = np.linalg.norm(joints[some] - positions[some], axis=-1)
-            trace.tracking_error[some] = away.mean(axis=-1)
-        return PhysicsResult(continuous(result), joints, trace, things)
+        self._trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
+        self._turns, self._roots = np.empty_like(person.rotations), np.empty((count, 3))
+        world = character.world
+        roots = [other.root_body for other in world.characters]
+        self._props = SceneProps(world.model, world.data, roots, count)
 
-    def _moves(
-        self,
-        time: Array,
-        positions: Array,
-        rotations: Array,
-        accelerations: Array,
-        first: int,
-    ) -> Move:
-        """Return the moves to a chunk of targets, the first of which has index k."""
-        there = slice(first, first + _CHUNK)
-        back = np.maximum(np.arange(len(time))[there] - 1, 0)
-        dt = time[there] - time[back]
-        return self._plan(
-            (to_mujoco(positions[back]), to_mujoco(rotations[back])),
-            (to_mujoco(positions[there]), to_mujoco(rotations[there])),
-            to_mujoco(accelerations[there]),
-            np.where(dt > 0.0, dt, 1.0),  # the very first is not used
-            self._damping,
-        )
+    def target(self, k: int) -> tuple[Array, Array]:
+        """Return positions (J, 3) and rotations (J, 4) at a time stamp."""
+        person, share = self._person, self._share[k]
+        one, two = self._before[k], self._after[k]
+        if share == 1.0:
+            return person.positions[two], person.rotations[two]
+        ends = person.positions[one], person.positions[two]
+        turns = slerp(person.rotations[one], person.rotations[two], share)
+        return ends[0] + share * (ends[1] - ends[0]), turns
+
+    def stands(self, k: int) -> Flags | None:
+        """Return which feet bear weight."""
+        stands = self._person.stands
+        return None if stands is None else stands[self._after[k]]
+
+    def move(self, k: int, dt: float) -> Move:
+        """Return the move to a time stamp that comes ``dt`` [s] after the last."""
+        character, after = self.character, int(self._after[k])
+        changes = character.compliance is not None or character.grasp.props
+        if not changes and self._is_own[k] and self._is_own[k - 1]:
+            return self._own_move(after)
+        gained = self._accelerations[after]
+        if not self._is_own[k]:
+            gained = np.zeros_like(gained)
+        seen = None if self._person.seen is None else self._person.seen[after]
+        return character.plan(*self.target(k), dt, acceleration=gained, seen=seen)
+
+    def _own_move(self, frame: int) -> Move:
+        """Return the move to one of the person's frames from the frame before.
+
+        Nothing changes these targets, so they are planned many at a time.
+        """
+        chunk, row = divmod(frame, _CHUNK)
+        if self._planned is None or self._planned[0] != chunk:
+            there = np.arange(len(self._person.time))[chunk * _CHUNK :][:_CHUNK]
+            back = np.maximum(there - 1, 0)
+            dt = self._person.time[there] - self._person.time[back]
+            positions, rotations = self._person.positions, self._person.rotations
+            moves = self.character.planner(
+                (to_mujoco(positions[back]), to_mujoco(rotations[back])),
+                (to_mujoco(positions[there]), to_mujoco(rotations[there])),
+                to_mujoco(self._accelerations[there]),
+                np.where(dt > 0.0, dt, 1.0),  # the very first is not used
+            )
+            self._planned = chunk, moves
+        return self._planned[1][row]
+
+    def record(self, k: int, *, reset: bool) -> None:
+        """Record the pose at a time stamp, if it is the person's own."""
+        if not self._is_own[k]:
+            return
+        own, character, trace = self._after[k], self.character, self._trace
+        data = character.data
+        bodies = character.model.geom_bodyid[data.contact.geom]
+        trace.contacts[own] = (character.joint_of[bodies] >= 0).any(axis=1).sum()
+        trace.external_force[own], trace.reset[own] = character.external_force, reset
+        self._turns[own], self._roots[own] = character.rotations, character.root
+        self._props.record(own)
+
+    def result(self) -> PhysicsResult:
+        """Return what was recorded."""
+        joints = np.empty_like(self._person.positions)
+        for some in chunks(len(joints), _CHUNK):
+            pose = self._turns[some], self._roots[some]
+            joints[some] = positions_from_rotations(*pose, self.character.body)
+            away = np.linalg.norm(joints[some] - self._person.positions[some], axis=-1)
+            self._trace.tracking_error[some] = away.mean(axis=-1)
+        return PhysicsResult(continuous(self._turns), joints, self._trace, self._props)
 
 
-def accelerations_of(time: Array, positions: Array) -> Array:
+def pull_through(
+    characters: Sequence[PulledCharacter],
+    people: Sequence[Performance],
+    frames: Callable[[int], Iterable[int]] = range,
+) -> list[PhysicsResult]:
+    """Pull all characters of a world through their motions, at the same time.
+
+    They restart after long gaps. A person who is out of view stands on the floor but
+    touches nobody and nothing else. Results have each person's own time stamps.
+    ``frames`` yields the indices of that many frames, for example for a progress bar.
+    """
+    stamps = np.unique(np.concatenate([person.time for person in people]))
+    world = characters[0].world
+    pairs = zip(characters, people, strict=True)
+    cues = [_Cue(character, person, stamps) for character, person in pairs]
+    for k in frames(len(stamps)):
+        dt = float(stamps[k] - stamps[k - 1])
+        restarts = k == 0 or dt > LONG_GAP
+        for cue in cues:
+            cue.character.solid = bool(cue.solid[k])
+            if restarts or cue.appears[k]:
+                cue.character.start(*cue.target(k), reset_props=k == 0)
+        stands = [cue.stands(k) for cue in cues]
+        if restarts:
+            # Hold the first target until the initial transient is gone.
+            for _ in range(_SETTLING):
+                held = [cue.character.plan(*cue.target(k), 1 / 30) for cue in cues]
+                world.follow(held, stands)
+            good = np.ones(len(cues), dtype=bool)
+        else:
+            good = world.follow([cue.move(k, dt) for cue in cues], stands)
+        for cue, fine in zip(cues, good, strict=True):
+            cue.record(k, reset=not fine)
+    return [cue.result() for cue in cues]
+
+
+def _accelerations(time: Array, positions: Array) -> Array:
     """Return central second differences [m/s^2], 0 at the ends of each part."""
     accelerations, steps = np.zeros_like(positions), np.diff(time)[:, None, None]
     velocities = np.diff(positions, axis=0) / steps

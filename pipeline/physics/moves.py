@@ -49,14 +49,17 @@ class MovePlanner:
     """Plans the moves of one body.
 
     Each torque of the pulls acts on a joint of ``turned``, shape (N,), about an axis in
-    the frame of its segment, shape (N, 3).
+    the frame of its segment, shape (N, 3). ``damping`` is that of the pulls, (pulls,);
+    it can be set.
     """
 
-    def __init__(self, body: Body, turned: Indices, axes: Array) -> None:
+    def __init__(
+        self, body: Body, turned: Indices, axes: Array, damping: Array
+    ) -> None:
         masses = joint_masses(body)
         self._masses, self._shares = masses[:, None], masses / masses.sum()
         self._feet = np.transpose(ankles_and_toes(body.skeleton))
-        self._turned, self._turn_axes = turned, axes
+        self._turned, self._turn_axes, self.damping = turned, axes, damping
 
     def __call__(
         self,
@@ -64,13 +67,12 @@ class MovePlanner:
         after: tuple[Array, Array],
         acceleration: Array,
         duration: Any,
-        damping: Array,
         share: float = 1.0,
     ) -> Move:
         """Return the move between two targets, as in ``Move``, or several in a row.
 
         The acceleration of the joints [m/s^2] has the shape of their positions. The
-        pulls have a ``damping``, (pulls,), and carry a ``share`` of what is needed.
+        pulls carry a ``share`` of what is needed.
         """
         seconds = np.asarray(duration)[..., None]
         opposite = np.vecdot(before[1], after[1]) < 0.0
@@ -81,7 +83,7 @@ class MovePlanner:
         needed = self._masses * (acceleration + _UP * GRAVITY) * share
         rows = (*needed.shape[:-2], -1)
         moved = [(after[0] - before[0]).reshape(rows), turns]
-        forward = damping * (np.concatenate(moved, axis=-1) / seconds)
+        forward = self.damping * (np.concatenate(moved, axis=-1) / seconds)
         forward[..., : len(self._masses) * 3] += needed.reshape(rows)
         # By where the center of mass is between the feet.
         left, right = np.moveaxis(

@@ -25,9 +25,9 @@ from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.stance import smooth_step
 
-from .filter import SceneProps
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
+from .scene_props import SceneProps
 from .world import World
 
 RATE = 30.0
@@ -77,6 +77,7 @@ class Playground:
             PulledCharacter(body, tracking, world=self.world) for body in bodies
         )
         self.character = self.characters[0]
+        self._pairs = list(zip(self.characters, self.motions, strict=True))
         model, roots = self.world.model, [c.root_body for c in self.characters]
         self.scene_props = SceneProps(model, self.world.data, roots, 1)
         self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
@@ -87,7 +88,7 @@ class Playground:
     def restart(self) -> None:
         """Restart the motions, with every prop where the scene has it."""
         self.time = 0.0
-        for character, motion in zip(self.characters, self.motions, strict=True):
+        for character, motion in self._pairs:
             character.start(*self._target(motion)[:2])
         self.scene_props.record(0)
 
@@ -107,7 +108,7 @@ class Playground:
     def step(self, dt: float) -> None:
         """Advance the simulation by dt [s]."""
         before, self.time = self.time, self.time + dt
-        for character, motion in zip(self.characters, self.motions, strict=True):
+        for character, motion in self._pairs:
             began, now = (
                 int(time * RATE) // len(motion) for time in (before, self.time)
             )
@@ -120,30 +121,22 @@ class Playground:
             size = float(np.linalg.norm(force))
             self._push(number, joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
         moves, feet = [], []
-        for character, motion in zip(self.characters, self.motions, strict=True):
+        for character, motion in self._pairs:
             positions, rotations, stands = self._target(motion)
-            seen = self._seen(motion)
+            frame = self._frame(motion)
+            seen = seen_hands(motion.reliability[frame], motion.skeleton)
             moves.append(character.plan(positions, rotations, dt, seen=seen))
             feet.append(stands)
         self.resets += int(np.sum(~self.world.follow(moves, feet)))
         self.scene_props.record(0)
         if self._frames is not None:
             props = self.scene_props.poses[0].copy()
-            self._frames.append(
-                [
-                    (
-                        dt,
-                        character.root,
-                        character.rotations,
-                        motion.contacts[int(self.time * RATE) % len(motion)],
-                        character.external_force,
-                        props,
-                    )
-                    for character, motion in zip(
-                        self.characters, self.motions, strict=True
-                    )
-                ]
-            )
+            rows = []
+            for character, motion in self._pairs:
+                contacts = motion.contacts[self._frame(motion)]
+                pose = character.root, character.rotations, contacts
+                rows.append((dt, *pose, character.external_force, props))
+            self._frames.append(rows)
 
     @staticmethod
     def _put_back(character: PulledCharacter) -> None:
@@ -159,15 +152,13 @@ class Playground:
             if prop.name not in names or (own is not None and own.name == prop.name):
                 prop.put_back()
 
-    def _seen(self, motion: Clip) -> Flags:
-        """Return which hands the sensor saw."""
-        frame = int(self.time * RATE) % len(motion)
-        return seen_hands(motion.reliability[frame], motion.skeleton)
+    def _frame(self, motion: Clip) -> int:
+        """Return the frame of a motion at this time."""
+        return int(self.time * RATE) % len(motion)
 
     def _target(self, motion: Clip) -> tuple[Array, Array, Flags]:
         """Return a motion's positions, rotations and planted feet at this time."""
-        at = self.time * RATE
-        first = int(at) % len(motion)
+        at, first = self.time * RATE, self._frame(motion)
         second, share = (first + 1) % len(motion), at - int(at)
         turns = slerp(motion.rotations[first], motion.rotations[second], share)
         root = motion.root[first] + share * (motion.root[second] - motion.root[first])
@@ -259,12 +250,8 @@ class Playground:
         frames, self._frames = self._frames or deque(), None
         if len(frames) < 2:
             raise InputError("nothing was recorded; play for a moment before stopping")
-        return [
-            self._clip(motion, rows)
-            for motion, rows in zip(
-                self.motions, zip(*frames, strict=True), strict=True
-            )
-        ]
+        columns = zip(self.motions, zip(*frames, strict=True), strict=True)
+        return [self._clip(motion, rows) for motion, rows in columns]
 
     def _clip(self, played: Clip, frames: tuple[tuple[Any, ...], ...]) -> Clip:
         columns = map(np.array, zip(*frames, strict=True))

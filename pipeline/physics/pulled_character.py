@@ -7,7 +7,6 @@ gravity and the floor, so the result obeys them whatever the target does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -54,8 +53,8 @@ class PulledCharacter:
 
     It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
     joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. It is alone in a world of its own, made of a scene and ``extend`` as in
-    ``World``, unless it is given one with others. Raises InputError as ``World``.
+    frame. It is alone in a world of its own, unless it is given one with others. Raises
+    InputError as ``World``.
     """
 
     def __init__(
@@ -64,12 +63,11 @@ class PulledCharacter:
         tracking: Tracking | None = None,
         *,
         scene: str | Path | None = None,
-        extend: Callable[[mujoco.MjSpec], object] = lambda _: None,
         world: World | None = None,
     ) -> None:
         self.body, joints = body, body.skeleton.joints
         if world is None:
-            world = World([body], tracking, scene=scene, extend=extend)
+            world = World([body], tracking, scene=scene)
         self.world, self.model, self.data = world, world.model, world.data
         model, prefix = self.model, prefix_of(len(world.characters))
         names = [f"{prefix}{name}" for name in joints]
@@ -92,11 +90,12 @@ class PulledCharacter:
         pulls = np.flatnonzero(model.actuator_group == self.group)
         self._pulls = slice(int(pulls[0]), int(pulls[-1]) + 1)
         bias = model.actuator_biasprm[self._pulls]
-        self._stiffness, self._damping = self._gains = -bias[:, 1], -bias[:, 2]
+        self._stiffness, damping = self._gains = -bias[:, 1], -bias[:, 2]
         torques = pulls[3 * len(joints) :]
         turned = [model.actuator(i).name.split(":")[-2] for i in torques]
         self._turned = np.array([joints.index(name) for name in turned])
-        self._plan = MovePlanner(body, self._turned, model.actuator_gear[torques, 3:])
+        axes = model.actuator_gear[torques, 3:]
+        self.planner = MovePlanner(body, self._turned, axes, damping)
         targets = [model.body(f"{prefix}target:{name}").id for name in joints]
         self._mocap = model.body_mocapid[targets]
         self._palms = body.skeleton.sides("Hand")
@@ -214,7 +213,7 @@ class PulledCharacter:
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._velocity = velocity
         share = 1.0 if gives is None else gives.recovered
-        return self._plan(before, after, gained, dt, self._damping, share)
+        return self.planner(before, after, gained, dt, share)
 
     def begin(self, move: Move, stands: Flags | None) -> None:
         """Apply the forces of a move that do not change during it."""
@@ -271,7 +270,7 @@ class PulledCharacter:
     def put_back(self) -> None:
         """Put the character at rest onto its target."""
         target = self._target
-        self._move = self._plan(target, target, 0.0 * target[0], 1.0, self._damping)
+        self._move = self.planner(target, target, 0.0 * target[0], 1.0)
         self._place(*target)
         self.grasp.drop()
         self.momentum.start()
@@ -302,9 +301,9 @@ class PulledCharacter:
         share = gives.frequencies
         share = np.concatenate([share.repeat(3), share[self._turned]])
         stiffness, damping = self._gains
-        self._stiffness, self._damping = stiffness * share**2, damping * share
+        self._stiffness, self.planner.damping = stiffness * share**2, damping * share
         self.model.actuator_biasprm[self._pulls, 1] = -self._stiffness
-        self.model.actuator_biasprm[self._pulls, 2] = -self._damping
+        self.model.actuator_biasprm[self._pulls, 2] = -self.planner.damping
         scale = FALLEN_DAMPING if gives.fallen else 1.0
         self.model.dof_damping[self._speeds] = self._joint_damping * scale
         return gives.target(positions, rotations, dt)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from kinefilter.characters import Body, Skeleton, Tracking
 from kinefilter.characters.arrays import Array
@@ -13,10 +14,9 @@ from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 
-from .filter import PhysicsFilter, PhysicsResult
+from .filter import Performance, pull_through
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
-from .together import Performance, run_together, stamps_of
 from .world import World
 
 
@@ -62,15 +62,7 @@ class Physics(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Pull the character through a take."""
-        place = self._placement(draft.positions, draft.skeleton)
-        result = PhysicsFilter(draft.body, self._tracking, scene=self._scene).run(
-            draft.time,
-            *_placed(draft, place),
-            stands=draft.stands,
-            seen=seen_hands(draft.reliability, draft.skeleton),
-            frames=progress(self.name, len(draft.time)),
-        )
-        self._finish(draft, result, place)
+        self.together([draft], progress)
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
         """Pull the characters of people of one recording through it in one world.
@@ -82,34 +74,27 @@ class Physics(Stage):
         place = self._placement(main.positions, main.skeleton)
         bodies = [draft.body for draft in drafts]
         world = World(bodies, self._tracking, scene=self._scene)
-        people = [
-            Performance(
-                draft.time,
-                *_placed(draft, place),
-                draft.stands,
-                seen_hands(draft.reliability, draft.skeleton),
-            )
-            for draft in drafts
-        ]
-        results = run_together(
+        results = pull_through(
             [PulledCharacter(body, self._tracking, world=world) for body in bodies],
-            people,
-            progress(self.name, len(stamps_of(people))),
+            [
+                Performance(
+                    draft.time,
+                    *_placed(draft, place),
+                    draft.stands,
+                    seen_hands(draft.reliability, draft.skeleton),
+                )
+                for draft in drafts
+            ],
+            partial(progress, self.name),
         )
         for draft, result in zip(drafts, results, strict=True):
-            self._finish(draft, result, place)
-
-    @staticmethod
-    def _finish(
-        draft: Draft, result: PhysicsResult, place: HeadingFrame | None
-    ) -> None:
-        draft.positions, draft.rotations = result.positions, result.rotations
-        if place is not None:
-            draft.positions = place.restore(result.positions)
-            draft.rotations = place.restore_rotations(result.rotations)
-            draft.props = result.scene_props.props(place)
-        draft.trace = result.trace
-        draft.external_force = result.trace.external_force
+            draft.positions, draft.rotations = result.positions, result.rotations
+            if place is not None:
+                draft.positions = place.restore(result.positions)
+                draft.rotations = place.restore_rotations(result.rotations)
+                draft.props = result.scene_props.props(place)
+            draft.trace = result.trace
+            draft.external_force = result.trace.external_force
 
     def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
         return None if self._scene is None else find_placement(positions, skeleton)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,12 +48,13 @@ class _Aim(Stage):
 
     def step(self, draft: Draft) -> None:
         """Aim in the next frame."""
-        filters = [mean.after(draft.elapsed) for mean in self._means]
-        self._aim_unpinned(draft, self._chains, filters)
+        for mean in self._means:
+            mean.elapsed = draft.elapsed
+        self._aim_unpinned(draft, self._chains, self._means)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Aim in a take."""
-        filters = _smoothing(draft.time, self.cutoffs)
+        filters = [partial(_smoothed, draft.time, cutoff) for cutoff in self.cutoffs]
         self._aim_unpinned(draft, self.chains(draft.body), filters)
         draft.rotations = continuous(draft.rotations)
         draft.posed = posed(draft)
@@ -127,41 +129,33 @@ def _weights(draft: Draft) -> Array:
 
 
 class _Mean:
-    """A running mean of values by their weights."""
+    """A running mean of values by their weights, frame by frame."""
+
+    elapsed: float
+    """Time since the last frame [s], to be set before each."""
 
     def __init__(self, cutoff: float) -> None:
         self._rate = 2.0 * np.pi * cutoff  # 1/s
         self._mean: tuple[Array, Array] | None = None
 
-    def after(self, elapsed: float) -> _Filter:
-        """Return the filter for a frame that comes so long [s] after the last one."""
-
-        def mean(values: Array, weights: Array) -> tuple[Array, Array]:
-            latest = weights[..., None] * values, weights
-            old = self._mean or latest
-            share = 1.0 - np.exp(-self._rate * elapsed)
-            pull, weight = (
-                a + share * (b - a) for a, b in zip(old, latest, strict=True)
-            )
-            self._mean = pull, weight
-            return pull / weight[..., None], weight
-
-        return mean
+    def __call__(self, values: Array, weights: Array) -> tuple[Array, Array]:
+        """Return the means of values and weights."""
+        latest = weights[..., None] * values, weights
+        old = self._mean or latest
+        share = 1.0 - np.exp(-self._rate * self.elapsed)
+        pull, weight = (a + share * (b - a) for a, b in zip(old, latest, strict=True))
+        self._mean = pull, weight
+        return pull / weight[..., None], weight
 
 
-def _smoothing(time: Array, cutoffs: Sequence[float]) -> list[_Filter]:
-    """Return zero-lag filters of a take, which do not look across long gaps."""
-
-    def filter_at(cutoff: float) -> _Filter:
-        def smoothed(values: Array, weights: Array) -> tuple[Array, Array]:
-            found, level = np.empty_like(values), np.empty_like(weights)
-            for k in parts_of(time):
-                found[k] = smooth(time[k], values[k], weights[k], cutoff=cutoff)
-                even = np.ones_like(weights[k])
-                mean = smooth(time[k], weights[k][..., None], even, cutoff=cutoff)
-                level[k] = np.maximum(mean[..., 0], _LEAST_WEIGHT)
-            return found, level
-
-        return smoothed
-
-    return [filter_at(cutoff) for cutoff in cutoffs]
+def _smoothed(
+    time: Array, cutoff: float, values: Array, weights: Array
+) -> tuple[Array, Array]:
+    """Return values and weights of a take smoothed without lag, by its parts."""
+    found, level = np.empty_like(values), np.empty_like(weights)
+    for k in parts_of(time):
+        found[k] = smooth(time[k], values[k], weights[k], cutoff=cutoff)
+        even = np.ones_like(weights[k])
+        mean = smooth(time[k], weights[k][..., None], even, cutoff=cutoff)
+        level[k] = np.maximum(mean[..., 0], _LEAST_WEIGHT)
+    return found, level

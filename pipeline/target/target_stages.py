@@ -56,6 +56,7 @@ class Upright(Stage):
     """
 
     name = "upright"
+    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.tilt is not None
@@ -265,13 +266,13 @@ class Bones(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._body, self._bones = body, BoneLengths(body)
+        self._bones = BoneLengths(body)
 
     def step(self, draft: Draft) -> None:
         """Restore the lengths of the next frame."""
-        body, positions = self._body, draft.positions
-        there = self._bones.project(positions[None], draft.bone_weights[None])[0]
-        draft.positions = put_on_floor(there[None], body)[0]
+        firmness = draft.bone_weights[None]
+        there = self._bones.project(draft.positions[None], firmness)
+        draft.positions = put_on_floor(there, draft.body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Restore the lengths of a take without making it less smooth.
@@ -297,14 +298,10 @@ class Orient(Stage):
     local = True
     in_parts = False  # rotations keep their sign across gaps
 
-    def start(self, body: Body) -> None:
-        """Reset the state for a new motion."""
-        self._body = body
-
     def step(self, draft: Draft) -> None:
         """Orient the segments of the next frame."""
-        positions, twist = draft.positions, draft.twist
-        draft.rotations = rotations_from_positions(positions, self._body, twist)
+        joints = draft.positions, draft.body, draft.twist
+        draft.rotations = rotations_from_positions(*joints)
 
     def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
         """Orient the segments of a take, continuously over time."""

@@ -1,0 +1,117 @@
+"""The visible props of a scene and how they move in a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from kinefilter.characters import Prop, Shape, ShapeKind
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import from_mujoco
+from kinefilter.characters.rotations import continuous
+from kinefilter.retarget import HeadingFrame
+
+_KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", [0, 1, 2]),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", [0, 0, 1]),
+    int(mujoco.mjtGeom.mjGEOM_MESH): ("mesh", [0, 1, 2]),
+}
+"""Kind of shape by type of geom, and which of its sizes are the half extents."""
+_LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
+_UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
+
+
+class SceneProps:
+    """The visible props of a scene, recorded frame by frame.
+
+    That is, all bodies but those of ``characters``, the indices of their root bodies.
+    ``poses`` has positions [m] and rotations, wxyz, of the props that can move, in
+    MuJoCo's world, shape (frames, N, 7).
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        characters: Sequence[int],
+        frames: int,
+    ) -> None:
+        self._model, self._data = model, data
+        visible = np.flatnonzero(
+            np.isin(model.geom_type, list(_KINDS))
+            & (model.geom_group <= _LAST_VISIBLE)
+            & (model.geom_rgba[:, 3] > 0.0)
+        )
+        self._geoms = {
+            int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
+            for body in dict.fromkeys(model.geom_bodyid[visible])
+            if model.body_rootid[body] not in characters
+        }
+        self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
+        self.poses = np.empty((frames, len(self._moving), 7))
+
+    def record(self, frame: int) -> None:
+        """Record the current poses as those of a frame."""
+        if self._moving:
+            self.poses[frame, :, :3] = self._data.xpos[self._moving]
+            self.poses[frame, :, 3:] = self._data.xquat[self._moving]
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the props that can move."""
+        return tuple(self._name(body) for body in self._moving)
+
+    @property
+    def now(self) -> tuple[Array, Array]:
+        """Last positions [m], (N, 3), and rotations, wxyz, (N, 4), of these props."""
+        poses = self.poses[-1]
+        return from_mujoco(poses[:, :3]), from_mujoco(poses[:, 3:])
+
+    def _name(self, body: int) -> str:
+        return self._model.body(body).name or f"body{body}"
+
+    def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
+        """Return the props and their motion in the world frame of a take.
+
+        ``place`` is the frame that was removed from the take to put it into the scene.
+        """
+        return tuple(self._prop(body, place) for body in self._geoms)
+
+    def _prop(self, body: int, place: HeadingFrame) -> Prop:
+        poses = np.append(self._data.xpos[body], self._data.xquat[body])[None]
+        if body in self._moving:
+            poses = self.poses[:, self._moving.index(body)]
+        return Prop(
+            self._name(body),
+            tuple(self._shape(geom) for geom in self._geoms[body]),
+            place.restore(from_mujoco(poses[:, None, :3]))[:, 0],
+            continuous(place.restore_rotations(from_mujoco(poses[:, 3:]))),
+        )
+
+    def _shape(self, geom: int) -> Shape:
+        model = self._model
+        kind, sizes = _KINDS[int(model.geom_type[geom])]
+        points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+        if kind == "mesh":
+            mesh = model.mesh(model.geom_dataid[geom])
+            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
+            first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
+            triangles = model.mesh_face[first : first + count].astype(np.int64)
+        color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+        if material >= 0 and np.allclose(color, _UNSET):
+            color = model.mat_rgba[material]
+        return Shape(
+            kind,
+            from_mujoco(model.geom_size[geom][sizes]),
+            from_mujoco(model.geom_pos[geom]),
+            from_mujoco(model.geom_quat[geom]),
+            color[:3].astype(float),
+            points,
+            triangles,
+        )
