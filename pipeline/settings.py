@@ -242,24 +242,22 @@ def _plain(value: Any) -> Any:
 
 
 def overlaid(
-    settings: Settings, files: Sequence[SettingsFile], given: Collection[str]
+    settings: Settings, file: SettingsFile, given: Collection[str] = ()
 ) -> Settings:
-    """Return settings changed by files, later ones overriding earlier ones.
+    """Return settings changed by a file, except for the fields ``given`` by the user.
 
-    The fields ``given`` by the user stay. Raises InputError for an impossible value.
+    Raises InputError for an impossible value.
     """
-    for file in files:
-        values = {k: v for k, v in file.values.items() if k not in given}
-        own = {name: value for name, value in values.items() if name in _OWN}
-        try:
-            for part, kind in _PARTS.items():
-                names = {f.name for f in fields(kind)} & values.keys()
-                changes = {name: values[name] for name in names}
-                own[part] = replace(getattr(settings, part), **changes)
-            settings = replace(settings, **own)
-        except InputError as error:
-            raise InputError(f"{file.name}: {error}") from None
-    return settings
+    values = {k: v for k, v in file.values.items() if k not in given}
+    own = {name: value for name, value in values.items() if name in _OWN}
+    try:
+        for part, kind in _PARTS.items():
+            names = {f.name for f in fields(kind)} & values.keys()
+            changes = {name: values[name] for name in names}
+            own[part] = replace(getattr(settings, part), **changes)
+        return replace(settings, **own)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
 
 
 def _absolute(value: Any, where: str, folder: Path | None) -> Any:

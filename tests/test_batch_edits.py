@@ -221,5 +221,5 @@ def test_settings_are_the_same_after_a_table() -> None:
         sensors=("a", "b"),
     )
     read = settings_in(as_table(settings), "row", Path("/"))
-    assert overlaid(Settings(), [read], ()) == settings
+    assert overlaid(Settings(), read) == settings
     assert as_table(Settings()) == {}
