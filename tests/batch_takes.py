@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import Take
-from kinefilter.pipeline.batch import Row
 from kinefilter.pipeline.batch.crew import Crew
+from kinefilter.pipeline.batch.manifest import Row
 from kinefilter.pipeline.batch.plan import Job
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.formats import write_take_csv

@@ -20,8 +20,9 @@ from batch_faults import begin_worker, scheduler
 from batch_folders import rows_of, table_of
 from hanging import HALF_A_CLIP, done_or_hang
 
-from kinefilter.pipeline.batch import clean_files, crew
+from kinefilter.pipeline.batch import crew
 from kinefilter.pipeline.batch.plan import find_sources, plan_jobs
+from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.settings import Settings

@@ -36,8 +36,7 @@ from .terminal import (
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.batch import JobProgress
-    from kinefilter.pipeline.batch.run import OnProgress
+    from kinefilter.pipeline.batch.run import JobProgress, OnProgress
     from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.merge import Merged
 
@@ -266,7 +265,8 @@ class Batch:
 
     def run(self) -> int:
         """Clean the takes and print a summary."""
-        from kinefilter.pipeline.batch import as_tables, clean_files
+        from kinefilter.pipeline.batch.outcome_tables import as_tables
+        from kinefilter.pipeline.batch.run import clean_files
 
         if not self.inputs:
             raise InputError("no takes given; give files or folders of takes")

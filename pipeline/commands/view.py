@@ -24,7 +24,7 @@ from kinefilter.pipeline.progress import Progress
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.batch import ClipRow, Row
+    from kinefilter.pipeline.batch.manifest import ClipRow, Row
     from kinefilter.pipeline.draft import Unedited
     from kinefilter.pipeline.look.viewer import CleanAgain
 
@@ -99,7 +99,8 @@ class View:
 
     def _run_folder(self, folder: Path) -> int:
         """Serve the clips of a batch, the worst first, until interrupted."""
-        from kinefilter.pipeline.batch import figures_of, read_rows, worst_first
+        from kinefilter.pipeline.batch.manifest import read_rows
+        from kinefilter.pipeline.batch.outcome_tables import figures_of, worst_first
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import check_address, opened_server
 
@@ -142,7 +143,7 @@ class View:
         The drawing has the take if it is found and of one sensor. Cleaning again
         replaces the clip in the folder, and its row in ``clips``.
         """
-        from kinefilter.pipeline.batch import clean_again, find_takes
+        from kinefilter.pipeline.batch.again import clean_again, find_takes
 
         row, clip = clips[number]
         path, takes = folder / clip.output, find_takes(row, self.take)
