@@ -93,14 +93,6 @@ def set_variables(variables: Mapping[str, str]) -> Iterator[None]:
         os.environ.update({k: before[k] for k in variables if k in before})
 
 
-def _begin(receiver: Any) -> None:
-    """Prepare a worker: Ctrl-C, which reaches all, is left to its parent process."""
-    for number in signal.Signals:
-        if number.name in ("SIGINT", "SIGBREAK"):  # Windows has both
-            signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
-
-
 def _watch(receiver: Any) -> None:
     """Note that the work was given up, and end after the parent process does."""
     parent = multiprocessing.parent_process()
@@ -192,7 +184,7 @@ class Workers(ThreadPoolExecutor):
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Shield processes that start meanwhile from Ctrl-C, even before ``_begin``."""
+    """Shield processes that start meanwhile from Ctrl-C, even before they ignore it."""
     if sys.platform == "win32":  # it has no such call
         yield
         return
@@ -206,7 +198,10 @@ def _uninterrupted() -> Iterator[None]:
 
 def _serve(calls: Any, receiver: Any) -> None:
     """Run calls until they are given up; send when each begins, then its outcome."""
-    _begin(receiver)
+    for number in signal.Signals:  # Ctrl-C, which reaches all, is left to the parent
+        if number.name in ("SIGINT", "SIGBREAK"):  # Windows has both
+            signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
     with suppress(EOFError, OSError):
         while receiver not in wait([calls, receiver]):
             call = calls.recv()
