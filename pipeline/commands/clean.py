@@ -169,7 +169,7 @@ class Clean:
                 )
         results = {}
         with progress_bars() as progress:
-            for number, result, merged in settings.clean_all(
+            for number, result, merged in settings.clean(
                 recordings, numbers, progress=progress
             ):
                 if not isinstance(result, InputError):
