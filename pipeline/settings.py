@@ -87,53 +87,44 @@ class Settings:
     def clean(
         self,
         recordings: Sequence[Recording],
-        body: int,
-        cleaner: Cleaner | None = None,
-        progress: Progress = silent,
-    ) -> tuple[CleanResult, Merged | None]:
-        """Clean a person; of several sensors' recordings, also return the merged take.
-
-        ``cleaner`` is one with the same config, if there is one. Errors are those of
-        ``Cleaner`` and ``merge``.
-        """
-        if len(recordings) == 1:
-            from .cleaner import Cleaner
-
-            cleaner = cleaner or Cleaner(self.config)
-            return cleaner.clean(recordings[0].take(body), progress=progress), None
-        from .merge import clean_session, read_calibration
-
-        known = read_calibration(self.calibration)
-        return clean_session(
-            recordings, self.config, body=body, calibration=known, progress=progress
-        )
-
-    def clean_all(
-        self,
-        recordings: Sequence[Recording],
         numbers: Sequence[int],
         cleaner: Cleaner | None = None,
         progress: Progress = silent,
     ) -> Iterator[tuple[int, CleanResult | InputError, Merged | None]]:
-        """Yield the number of each person with what ``clean`` returns or raises.
+        """Yield each person's number, and the result or the error of cleaning them.
 
-        Several people in a ``scene`` share it, and push each other.
+        Of several sensors' recordings, the merged take is yielded too. Several people
+        in a ``scene`` share it, and push each other. ``cleaner`` is one with the same
+        config, if there is one.
         """
-        if len(numbers) > 1 and self.config.scene is not None:
-            from .cleaner import Cleaner
+        from .cleaner import Cleaner
 
-            cleaner = cleaner or Cleaner(self.config)
-            takes = [recordings[0].take(number) for number in numbers]
+        first, config = recordings[0], self.config
+        cleaner = cleaner or Cleaner(config)
+        if len(numbers) > 1 and config.scene is not None:
+            takes = [first.take(number) for number in numbers]
             found = cleaner.clean_together(takes, progress=progress)
             yield from zip(numbers, found, repeat(None))
             return
         for number in numbers:
+            result: CleanResult | InputError
+            merged = None
             try:
-                result, merged = self.clean(recordings, number, cleaner, progress)
+                if len(recordings) == 1:
+                    result = cleaner.clean(first.take(number), progress=progress)
+                else:
+                    from .merge import clean_session, read_calibration
+
+                    result, merged = clean_session(
+                        recordings,
+                        config,
+                        body=number,
+                        calibration=read_calibration(self.calibration),
+                        progress=progress,
+                    )
             except InputError as error:
-                yield number, error, None
-            else:
-                yield number, result, merged
+                result = error
+            yield number, result, merged
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -242,24 +233,22 @@ def _plain(value: Any) -> Any:
 
 
 def overlaid(
-    settings: Settings, files: Sequence[SettingsFile], given: Collection[str]
+    settings: Settings, file: SettingsFile, given: Collection[str] = ()
 ) -> Settings:
-    """Return settings changed by files, later ones overriding earlier ones.
+    """Return settings changed by a file, except for the fields ``given`` by the user.
 
-    The fields ``given`` by the user stay. Raises InputError for an impossible value.
+    Raises InputError for an impossible value.
     """
-    for file in files:
-        values = {k: v for k, v in file.values.items() if k not in given}
-        own = {name: value for name, value in values.items() if name in _OWN}
-        try:
-            for part, kind in _PARTS.items():
-                names = {f.name for f in fields(kind)} & values.keys()
-                changes = {name: values[name] for name in names}
-                own[part] = replace(getattr(settings, part), **changes)
-            settings = replace(settings, **own)
-        except InputError as error:
-            raise InputError(f"{file.name}: {error}") from None
-    return settings
+    values = {k: v for k, v in file.values.items() if k not in given}
+    own = {name: value for name, value in values.items() if name in _OWN}
+    try:
+        for part, kind in _PARTS.items():
+            names = {f.name for f in fields(kind)} & values.keys()
+            changes = {name: values[name] for name in names}
+            own[part] = replace(getattr(settings, part), **changes)
+        return replace(settings, **own)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
 
 
 def _absolute(value: Any, where: str, folder: Path | None) -> Any:

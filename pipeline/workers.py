@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
-_MOST_ON_WINDOWS = 61  # processes that Windows can wait for at a time
 _GRACE = 5.0  # s to finish a file once the work was given up
 _PATIENCE = 1.5  # s until a process is ended less gently
+_START_TIMEOUT = 600.0  # s for a new process to begin its first call; a guess
+_LONGEST_WAIT = 2e6  # s, for which pipes can wait; longer limits are none
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 _given_up = threading.Event()
 
 
@@ -31,11 +37,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):  # Linux; elsewhere a process may use all
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def at_most(count: int) -> int:
-    """Return a number of processes, limited to what the system can wait for."""
-    return min(count, _MOST_ON_WINDOWS) if sys.platform == "win32" else count
 
 
 def given_up() -> bool:
@@ -69,29 +70,14 @@ def one_thread() -> Iterator[None]:
 @contextmanager
 def workers(
     count: int | None = None, *, environment: Mapping[str, str] | None = None
-) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes, by default one per core, with extra variables.
-
-    Each has one thread of linear algebra, and ends with its parent, however that ends.
-    """
-    # Not forked, which threads of the engine and of linear algebra do not survive.
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
+) -> Iterator[Workers]:
+    """Yield processes, by default one per core, with extra variables; then end them."""
     with one_thread(), set_variables(environment or {}):
-        pool = ProcessPoolExecutor(
-            at_most(count or cores()),
-            mp_context=context,
-            initializer=_begin,
-            initargs=(receiver,),
-        )
-        with receiver, sender:
-            try:
-                yield pool
-            except BaseException:
-                sender.close()
-                raise
-            finally:
-                pool.shutdown(cancel_futures=True)
+        pool = Workers(count)
+        try:
+            yield pool
+        finally:
+            pool.end(_GRACE)
 
 
 @contextmanager
@@ -107,14 +93,6 @@ def set_variables(variables: Mapping[str, str]) -> Iterator[None]:
         os.environ.update({k: before[k] for k in variables if k in before})
 
 
-def _begin(receiver: Any) -> None:
-    """Prepare a worker: Ctrl-C, which reaches all, is left to its parent process."""
-    for number in signal.Signals:
-        if number.name in ("SIGINT", "SIGBREAK"):  # Windows has both
-            signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
-
-
 def _watch(receiver: Any) -> None:
     """Note that the work was given up, and end after the parent process does."""
     parent = multiprocessing.parent_process()
@@ -126,37 +104,87 @@ def _watch(receiver: Any) -> None:
         os._exit(1)
 
 
-class Worker:
-    """A process that runs one call at a time and can be ended at any point.
+class ProcessDiedError(Exception):
+    """The process that ran a call died, perhaps for lack of memory."""
 
-    It has one thread of linear algebra, and ends with its parent, however that ends.
+
+class Workers(ThreadPoolExecutor):
+    """Processes that run calls, with a thread here for each that waits for its results.
+
+    Each has one thread of linear algebra, and ends with its parent, however that ends.
+    A call whose process dies raises ProcessDiedError; the others go on.
     """
 
-    def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.calls, calls = context.Pipe()
-        receiver, self._sender = context.Pipe(duplex=False)
-        arguments = calls, receiver
-        self.process = context.Process(target=_serve, args=arguments, daemon=True)
-        with calls, receiver, set_variables(_ONE_THREAD), _uninterrupted():
-            self.process.start()
+    def __init__(self, count: int | None = None) -> None:
+        super().__init__(count or cores())
+        # Not forked, which threads of the engine and of linear algebra do not survive.
+        self._context = multiprocessing.get_context("spawn")
+        self._receiver, self._sender = self._context.Pipe(duplex=False)
+        self._own = threading.local()  # each thread's process, and the way to it
+        self._processes: list[BaseProcess] = []
+        self._starting = threading.Lock()
 
-    def call(self, function: Callable[[Any], object], argument: object) -> None:
-        """Run a module's function; ``calls`` then receives True and the result.
+    def submit(
+        self, function: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs
+    ) -> Future[_T]:
+        """Run a module's function in a process."""
+        return self.submit_within(math.inf, partial(function, *args, **kwargs))
 
-        True comes when it begins. Once the process is dead, reading raises an error.
+    def submit_within(self, seconds: float, call: Callable[[], _T]) -> Future[_T]:
+        """Run a call, which raises TimeoutError so many seconds after it has begun."""
+        return super().submit(self._run, seconds, call)
+
+    def _run(self, seconds: float, call: Callable[[], _T]) -> _T:
+        process, calls = vars(self._own).pop("worker", None) or self._start()
+        late = False
+        try:
+            calls.send(call)
+            for limit in (_START_TIMEOUT, seconds):  # until it begins, until it ends
+                late = not calls.poll(limit if limit < _LONGEST_WAIT else None)
+                if late:
+                    process.kill()
+                    raise EOFError
+                error, result = calls.recv()
+        except (EOFError, OSError):
+            raise (TimeoutError if late else ProcessDiedError) from None
+        self._own.worker = process, calls
+        if error is not None:
+            raise error
+        returned: _T = result
+        return returned
+
+    def _start(self) -> tuple[BaseProcess, Any]:
+        calls, theirs = self._context.Pipe()
+        process = self._context.Process(
+            target=_serve, args=(theirs, self._receiver), daemon=True
+        )
+        with self._starting, theirs, set_variables(_ONE_THREAD), _uninterrupted():
+            process.start()
+        self._processes.append(process)
+        return process, calls
+
+    def end(self, patience: float = _PATIENCE) -> None:
+        """Give up all calls, and kill the processes that run longer than ``patience``.
+
+        Ctrl-C ends the wait [s]. May be called repeatedly.
         """
-        with suppress(OSError):  # it died while idle, as reading will show
-            self.calls.send((function, argument))
-
-    def end(self) -> None:
-        """End the process now."""
-        end_workers([self], 0.0)
+        self.shutdown(wait=False, cancel_futures=True)
+        self._sender.close()
+        until = time.monotonic() + patience
+        try:
+            for process in self._processes:
+                process.join(max(until - time.monotonic(), 0.0))
+        finally:
+            for process in self._processes:
+                process.kill()
+            self.shutdown()
+            for process in self._processes:
+                process.join(_PATIENCE)
 
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Shield processes that start meanwhile from Ctrl-C, even before ``_begin``."""
+    """Shield processes that start meanwhile from Ctrl-C, even before they ignore it."""
     if sys.platform == "win32":  # it has no such call
         yield
         return
@@ -168,37 +196,19 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def end_workers(ended: Sequence[Worker], patience: float = _PATIENCE) -> None:
-    """End processes: give up their work, then terminate, then kill them.
-
-    Each step waits at most ``patience`` seconds, later ones 1.5; Ctrl-C ends the wait.
-    """
-    processes = [worker.process for worker in ended]
-    try:
-        for worker in ended:
-            worker.calls.close()
-            worker._sender.close()
-        _join(processes, patience)
-        for process in processes:
-            process.terminate()
-        _join(processes, _PATIENCE)
-    finally:
-        for process in processes:
-            process.kill()
-        _join(processes, _PATIENCE)
-
-
-def _join(processes: Sequence[BaseProcess], seconds: float) -> None:
-    until = time.monotonic() + seconds
-    for process in processes:
-        process.join(max(until - time.monotonic(), 0.0))
-
-
 def _serve(calls: Any, receiver: Any) -> None:
-    """Run calls until there are no more."""
-    _begin(receiver)
+    """Run calls until they are given up; send when each begins, then its outcome."""
+    for number in signal.Signals:  # Ctrl-C, which reaches all, is left to the parent
+        if number.name in ("SIGINT", "SIGBREAK"):  # Windows has both
+            signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
     with suppress(EOFError, OSError):
-        while True:
-            function, argument = calls.recv()
-            calls.send(True)
-            calls.send(function(argument))
+        while receiver not in wait([calls, receiver]):
+            call = calls.recv()
+            calls.send((None, None))
+            try:
+                outcome: tuple[Exception | None, Any] = None, call()
+            except Exception as error:
+                error.add_note(traceback.format_exc())
+                outcome = error, None
+            calls.send(outcome)

@@ -8,7 +8,8 @@ from pathlib import Path
 from batch_takes import short_take
 
 from kinefilter import CleanConfig
-from kinefilter.pipeline.batch import Outcome, Row, clean_files
+from kinefilter.pipeline.batch.manifest import Row
+from kinefilter.pipeline.batch.run import Outcome, clean_files
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings
 

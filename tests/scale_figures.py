@@ -30,7 +30,8 @@ from batch_faults import batch, begin, scheduler
 from batch_figures import megabytes_a_file
 from batch_takes import make_takes
 
-from kinefilter.pipeline.batch import Row, crew, read_rows, task
+from kinefilter.pipeline.batch import crew, task
+from kinefilter.pipeline.batch.manifest import Row, read_rows
 from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.settings import Settings

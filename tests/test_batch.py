@@ -14,9 +14,11 @@ from published_layouts import ntu_text
 
 from kinefilter import CleanConfig, Cleaner, clean, read_take, write_clip
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch import Outcome, Row, as_tables, clean_files, run
-from kinefilter.pipeline.batch.manifest import Status
+from kinefilter.pipeline.batch import run
+from kinefilter.pipeline.batch.manifest import Row, Status
+from kinefilter.pipeline.batch.outcome_tables import as_tables
 from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
+from kinefilter.pipeline.batch.run import Outcome, clean_files
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
 from kinefilter.pipeline.cli import main

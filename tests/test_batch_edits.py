@@ -10,8 +10,8 @@ from batch_folders import QUICK, clean_folder, make_folder, rows_of, table_of
 from batch_takes import Here, short_take, write_session
 
 from kinefilter import CleanConfig, InputError
-from kinefilter.pipeline.batch import Row, clean_again, find_takes, read_rows
-from kinefilter.pipeline.batch.manifest import open_manifest
+from kinefilter.pipeline.batch.again import clean_again, find_takes
+from kinefilter.pipeline.batch.manifest import Row, open_manifest, read_rows
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.edits import Edit, edits_text
 from kinefilter.pipeline.formats import write_take_csv
@@ -221,5 +221,5 @@ def test_settings_are_the_same_after_a_table() -> None:
         sensors=("a", "b"),
     )
     read = settings_in(as_table(settings), "row", Path("/"))
-    assert overlaid(Settings(), [read], ()) == settings
+    assert overlaid(Settings(), read) == settings
     assert as_table(Settings()) == {}

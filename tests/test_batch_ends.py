@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -20,12 +21,13 @@ from batch_faults import begin_worker, scheduler
 from batch_folders import rows_of, table_of
 from hanging import HALF_A_CLIP, done_or_hang
 
-from kinefilter.pipeline.batch import clean_files, crew
+from kinefilter.pipeline.batch import crew
 from kinefilter.pipeline.batch.plan import find_sources, plan_jobs
+from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.settings import Settings
-from kinefilter.pipeline.workers import Worker, end_workers
+from kinefilter.pipeline.workers import Workers
 
 QUICK = {"one.csv", "two.csv", "three.csv"}
 
@@ -76,15 +78,17 @@ def test_ctrl_c_ends_a_batch_whose_worker_hangs(
         if second == "within the end" and ending.wait(60.0):
             os.kill(os.getpid(), signal.SIGINT)
 
-    def end(ended: list[Worker]) -> None:
+    end_workers = Workers.end
+
+    def end(workers: Workers) -> None:
         if second == "never" or ending.is_set():
-            return end_workers(ended)
+            return end_workers(workers)
         ending.set()
         if second == "before the end":
             raise KeyboardInterrupt
-        return end_workers(ended, 30.0)  # which the second one ends
+        return end_workers(workers, 30.0)  # which the second one ends
 
-    monkeypatch.setattr(crew, "end_workers", end)
+    monkeypatch.setattr(Workers, "end", end)
     thread = threading.Thread(target=interrupt)
     thread.start()
     with pytest.raises(KeyboardInterrupt):
@@ -145,9 +149,12 @@ def test_a_time_limit_is_more_than_nothing(
 
 @pytest.mark.skipif(os.name == "nt", reason="no signal reaches one process alone there")
 def test_ctrl_c_does_not_end_a_worker_that_is_still_starting() -> None:
-    worker = Worker()
-    assert worker.process.pid is not None
-    os.kill(worker.process.pid, signal.SIGINT)
-    worker.call(len, "take")
-    assert [worker.calls.recv(), worker.calls.recv()] == [True, 4]
-    worker.end()
+    workers = Workers(1)
+    length = workers.submit(len, "take")
+    while not workers._processes:
+        time.sleep(0.001)
+    pid = workers._processes[0].pid
+    assert pid is not None
+    os.kill(pid, signal.SIGINT)
+    assert length.result() == 4
+    workers.end()

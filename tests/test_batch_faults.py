@@ -26,7 +26,8 @@ from batch_takes import short_take, write_session
 from dying import clean_or_die
 
 from kinefilter import CleanConfig
-from kinefilter.pipeline.batch import clean_files, crew
+from kinefilter.pipeline.batch import crew
+from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings
 

@@ -18,9 +18,11 @@ from batch_takes import Here, short_take
 from rich.console import Console
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch import ClipRow, Outcome, Row, as_tables, run
-from kinefilter.pipeline.batch.manifest import open_manifest
+from kinefilter.pipeline.batch import run
+from kinefilter.pipeline.batch.manifest import ClipRow, Row, open_manifest
+from kinefilter.pipeline.batch.outcome_tables import as_tables
 from kinefilter.pipeline.batch.plan import Job, clip_names, unique_names
+from kinefilter.pipeline.batch.run import Outcome
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv

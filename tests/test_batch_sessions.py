@@ -11,8 +11,9 @@ from batch_folders import QUICK, clean_folder, table_of
 from batch_takes import second_view, short_take, write_session
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.batch import Outcome, Row, clean_files
+from kinefilter.pipeline.batch.manifest import Row
 from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
+from kinefilter.pipeline.batch.run import Outcome, clean_files
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv

@@ -24,7 +24,7 @@ from kinefilter.pipeline.settings import (
 
 
 def _parsed(text: str, folder: Path | None = Path("/folder")) -> Settings:
-    return overlaid(Settings(), [parse_settings(text, "f.toml", folder)], ())
+    return overlaid(Settings(), parse_settings(text, "f.toml", folder))
 
 
 def test_every_kind_of_value_is_taken() -> None:
@@ -92,9 +92,9 @@ def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
 def _jobs(root: Path, given: frozenset[str] = frozenset()) -> dict[str, Job]:
     sources = find_sources([str(root)], str(root / "out"))
     own = Settings(CleanConfig(seed=9) if given else CleanConfig())
-    files = [read_settings(root / "all.toml")]
+    settings = overlaid(own, read_settings(root / "all.toml"), given)
     out = store_at(str(root / "out"))
-    jobs = plan_jobs(sources, out, own, ".bvh", files=files, given=given)
+    jobs = plan_jobs(sources, out, settings, ".bvh", given=given)
     return {job.take: job for job in jobs}
 
 

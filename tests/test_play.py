@@ -135,7 +135,7 @@ def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> Non
         player = Player(server, ground, save)
         for action in (player._record, player._let_go, player._pause):
             action(None)
-        assert ground.limp
+        assert ground.character.limp
         assert ground.recording == 0
         for name in ("play.npz", "play.2.npz"):
             if ground.recording is None:

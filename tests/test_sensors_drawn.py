@@ -81,7 +81,7 @@ def test_every_sensor_has_the_joints_before_it_where_it_saw_them(
         take, names = read_take(path), sensor.skeleton.joints
         own = [k for k, name in enumerate(take.skeleton.joints) if name in names[3:]]
         there = [names.index(take.skeleton.joints[k]) for k in own]
-        seen = _in_own_frame(sensor.joints, sensor)[:, there]
+        seen = _in_own_frame(sensor.positions, sensor)[:, there]
         given = Track(take.time, take.positions).at(stamps)
         # Where the tracker took left for right, they were put back.
         given = [given[:, own], given[:, np.array(take.skeleton.mirror)[own]]]
@@ -121,7 +121,7 @@ def test_fields_of_view_are_those_of_the_sensors(
         for extent, known in zip((left, up), SENSORS[kind].field_of_view, strict=True):
             size = 2.0 * np.degrees(np.arctan(np.abs(extent / away)))
             np.testing.assert_allclose(size, np.degrees(known), atol=1.0)
-        left, up, away = np.moveaxis(_in_own_frame(sensor.joints, sensor), 2, 0)
+        left, up, away = np.moveaxis(_in_own_frame(sensor.positions, sensor), 2, 0)
         assert np.nanmedian(away) > 0.8
         assert np.nanmedian(np.abs(np.arctan2(left, away))) < np.radians(28.0)
         floor = sensor.edges[-1, 1]
@@ -272,7 +272,7 @@ def test_recorded_sensors_look_at_the_person() -> None:
     names = [f"p02_90deg_walk_{which}.csv.gz" for which in "AB"]
     drawing, _ = _drawn(folder / name for name in names)
     for sensor in drawing.sensors:
-        root = _in_own_frame(sensor.joints[:, sensor.skeleton.root], sensor)
+        root = _in_own_frame(sensor.positions[:, sensor.skeleton.root], sensor)
         left, _, away = root[~np.isnan(root[:, 0])].T
         assert away.min() > 0.5
         assert (np.abs(np.arctan2(left, away)) < np.radians(40.0)).all()

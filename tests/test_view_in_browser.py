@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from viewing import viewing
 
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
-from kinefilter.pipeline.batch import clean_files, read_rows
+from kinefilter.pipeline.batch.manifest import read_rows
+from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.edits import Edit, read_edits
 from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.look.drawing import Drawing

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
+from functools import partial
 
 import numpy as np
+import pytest
 from threadpoolctl import threadpool_info
 
-from kinefilter.pipeline.workers import one_thread, workers
+from kinefilter.pipeline.workers import ProcessDiedError, one_thread, workers
 
 
 def _most_threads() -> int:
@@ -26,3 +29,18 @@ def test_one_thread_is_used_and_the_environment_is_as_before() -> None:
 def test_workers_are_told_so() -> None:
     with workers(1) as pool:
         assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result() == "1"
+
+
+def test_a_call_that_fails_hangs_or_kills_its_process_fails_alone() -> None:
+    with workers(2) as pool:
+        died, failed = pool.submit(os._exit, 1), pool.submit(int, "a")
+        hung = pool.submit_within(0.1, partial(time.sleep, 3600.0))
+        lengths = list(pool.map(len, ["take", "clip"]))
+        with pytest.raises(ProcessDiedError):
+            died.result()
+        with pytest.raises(ValueError, match="'a'") as error:
+            failed.result()
+        with pytest.raises(TimeoutError):
+            hung.result()
+    assert lengths == [4, 4]
+    assert "in _serve" in error.value.__notes__[0]  # where it failed

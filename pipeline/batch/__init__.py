@@ -8,21 +8,4 @@ that plans the jobs and writes the manifest. ``tests/batch_figures.py`` measures
 ``tests/batch_faults.py`` kills runs and workers.
 """
 
-from .again import clean_again, find_takes
-from .manifest import ClipRow, Row, read_rows
-from .outcome_tables import as_tables, figures_of, worst_first
-from .run import JobProgress, Outcome, clean_files
-
-__all__ = [
-    "ClipRow",
-    "JobProgress",
-    "Outcome",
-    "Row",
-    "as_tables",
-    "clean_again",
-    "clean_files",
-    "figures_of",
-    "find_takes",
-    "read_rows",
-    "worst_first",
-]
+__all__: list[str] = []

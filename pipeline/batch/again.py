@@ -76,7 +76,7 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
             f"{_BATCH}"
         )
     options = settings_in(row.options, f"{out}: options of {row.take}", Path.cwd())
-    settings, suffix = overlaid(Settings(), [options], ()), Path(row.output).suffix
+    settings, suffix = overlaid(Settings(), options), Path(row.output).suffix
     if settings.config.edits is not None:
         why = f"its batch has --edits {settings.config.edits}"
         raise InputError(f"{row.take}: {why}; change that file, and {_BATCH}")

@@ -13,15 +13,13 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from functools import partial
-from multiprocessing.connection import wait
 from queue import Empty, SimpleQueue
 from threading import TIMEOUT_MAX, Lock, Thread, Timer
-from time import monotonic
 from typing import Any
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.workers import Worker, at_most, end_workers
+from kinefilter.pipeline.workers import ProcessDiedError, Workers
 
 from .manifest import Row
 from .plan import Job
@@ -31,7 +29,6 @@ _MAX_SCHEDULED = 1000  # jobs submitted to the scheduler at a time
 _CONNECT_TIMEOUT = "10s"  # for the scheduler to answer
 _CLOSE_TIMEOUT = "2s"  # for closing the connection
 _POLL = 1.0  # s between checks for workers and for a Ctrl-C that did not interrupt
-_START_TIMEOUT = 600.0  # s for a new process to begin its first take; a guess
 _REPORT_DELAY = 2.0  # s for the row of a hanging take to reach the scheduler; a guess
 
 _one_at_a_time = Lock()
@@ -42,24 +39,42 @@ class Crew(ABC):
 
     room: int  # maximum number of jobs at a time
 
+    def __init__(self) -> None:
+        self._running: dict[Future[Row], Job] = {}
+        self._done = SimpleQueue[Future[Row]]()
+
     def is_idle(self) -> bool:
         """Return True if there are no workers."""
         return False
 
-    @abstractmethod
     def submit(self, job: Job) -> None:
         """Start a job."""
+        future = self._start(job)
+        self._running[future] = job
+        future.add_done_callback(self._done.put)
 
-    @abstractmethod
     def finished(self) -> list[tuple[Job, Row | None]]:
         """Wait for jobs; return finished ones with their row, or None if a worker died.
 
         May return nothing after a second, so that the caller can check for workers.
         """
+        done = []
+        with suppress(Empty):
+            done.append(self._done.get(timeout=_POLL))
+            while True:
+                done.append(self._done.get_nowait())
+        jobs = [(future, self._running.pop(future)) for future in done]
+        return [(job, self._row(future, job)) for future, job in jobs]
 
     @abstractmethod
     def end(self) -> None:
         """End the workers within seconds, even busy ones; may be called repeatedly."""
+
+    @abstractmethod
+    def _start(self, job: Job) -> Future[Row]: ...
+
+    @abstractmethod
+    def _row(self, done: Future[Row], job: Job) -> Row | None: ...
 
 
 def open_crew(scheduler: str | None, jobs: int) -> Crew:
@@ -74,44 +89,22 @@ class _Processes(Crew):
     """Local processes, each of which does one job at a time."""
 
     def __init__(self, count: int) -> None:
-        self.room = at_most(count)
-        self._idle: list[Worker] = []
-        self._busy: dict[Worker, tuple[Job, float]] = {}  # with the deadline
+        super().__init__()
+        self.room, self._workers = count, Workers(count)
 
     def end(self) -> None:
-        end_workers([*self._idle, *self._busy])
-        self._idle, self._busy = [], {}
+        self._workers.end()
 
-    def submit(self, job: Job) -> None:
-        worker = self._idle.pop() if self._idle else Worker()
-        self._busy[worker] = job, monotonic() + _START_TIMEOUT + job.limit
-        worker.call(clean_file, job)
+    def _start(self, job: Job) -> Future[Row]:
+        return self._workers.submit_within(job.limit, partial(clean_file, job))
 
-    def finished(self) -> list[tuple[Job, Row | None]]:
-        results: list[tuple[Job, Row | None]] = []
-        while not results:
-            left = min(deadline for _, deadline in self._busy.values()) - monotonic()
-            connections = [worker.calls for worker in self._busy]
-            ready = wait(connections, min(max(left, 0.0), _POLL))
-            for worker, (job, deadline) in [*self._busy.items()]:
-                message = None
-                if worker.calls in ready:
-                    with suppress(EOFError, OSError):  # the process died
-                        message = worker.calls.recv()
-                elif deadline > monotonic():
-                    continue
-                else:
-                    message = _overdue(job)
-                if message is True:  # the job has begun
-                    self._busy[worker] = job, monotonic() + job.limit
-                    continue
-                del self._busy[worker]
-                if worker.calls in ready and message is not None:
-                    self._idle.append(worker)
-                else:
-                    worker.end()
-                results.append((job, message))
-        return results
+    def _row(self, done: Future[Row], job: Job) -> Row | None:
+        try:
+            return done.result()
+        except TimeoutError:
+            return _overdue(job)
+        except ProcessDiedError:
+            return None
 
 
 class _Cluster(Crew):
@@ -124,10 +117,11 @@ class _Cluster(Crew):
     room = _MAX_SCHEDULED
 
     def __init__(self, address: str) -> None:
+        super().__init__()
         require("distributed", "--scheduler", "cluster")
         import distributed
 
-        # ``_result`` reports a lost scheduler in one line; Dask would log many.
+        # ``_row`` reports a lost scheduler in one line; Dask would log many.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
             client: Any = distributed.Client
@@ -138,8 +132,6 @@ class _Cluster(Crew):
                 "with 'dask scheduler'"
             ) from None
         self._pool = self._client.get_executor(pure=False)
-        self._running: dict[Future[Row], Job] = {}
-        self._done = SimpleQueue[Future[Row]]()
 
     def end(self) -> None:
         running, self._running = self._running, {}
@@ -150,22 +142,27 @@ class _Cluster(Crew):
     def is_idle(self) -> bool:
         try:
             return not self._client.nthreads()
-        except OSError:  # the scheduler is gone, which ``_result`` reports
+        except OSError:  # the scheduler is gone, which ``_row`` reports
             return False
 
-    def submit(self, job: Job) -> None:
-        future = self._pool.submit(_clean_in_time, clean_file, job)
-        self._running[future] = job
-        future.add_done_callback(self._done.put)
+    def _start(self, job: Job) -> Future[Row]:
+        started: Future[Row] = self._pool.submit(_clean_in_time, clean_file, job)
+        return started
 
-    def finished(self) -> list[tuple[Job, Row | None]]:
-        done = []
-        with suppress(Empty):
-            done.append(self._done.get(timeout=_POLL))
-            while True:
-                done.append(self._done.get_nowait())
-        jobs = [(future, self._running.pop(future)) for future in done]
-        return [(job, _result(future, job)) for future, job in jobs]
+    def _row(self, done: Future[Row], job: Job) -> Row | None:
+        from distributed.scheduler import KilledWorker
+
+        try:
+            return done.result()
+        except CancelledError:
+            raise InputError(
+                "the cluster is gone; restart it, and run the same command again to "
+                "resume"
+            ) from None
+        except KilledWorker:
+            return None
+        except Exception as error:  # e.g. a worker with another version of kinefilter
+            return job.row("failed", error=f"no worker could clean it ({error})")
 
 
 def _clean_in_time(clean: Callable[[Job], Row], job: Job) -> Row:
@@ -194,19 +191,3 @@ def _clean_in_time(clean: Callable[[Job], Row], job: Job) -> Row:
 def _overdue(job: Job) -> Row:
     error = f"not finished after {job.limit:.6g} s; allow more with --take-timeout"
     return job.row("failed", seconds=job.limit, error=error)
-
-
-def _result(future: Future[Row], job: Job) -> Row | None:
-    """Return the row of a finished job; None if its workers died."""
-    from distributed.scheduler import KilledWorker
-
-    try:
-        return future.result()
-    except CancelledError:
-        raise InputError(
-            "the cluster is gone; restart it, and run the same command again to resume"
-        ) from None
-    except KilledWorker:
-        return None
-    except Exception as error:  # e.g. a worker with another version of kinefilter
-        return job.row("failed", error=f"no worker could clean it ({error})")

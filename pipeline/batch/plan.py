@@ -19,7 +19,6 @@ from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.settings import (
     FOLDER_FILE,
     Settings,
-    SettingsFile,
     as_table,
     fingerprint,
     overlaid,
@@ -225,25 +224,23 @@ def plan_jobs(
     settings: Settings,
     suffix: str,
     *,
-    files: Sequence[SettingsFile] = (),
     given: Collection[str] = (),
     take_timeout: float | None = None,
 ) -> list[Job]:
     """Return a job for every take and every session, the longest first.
 
-    Settings are those of ``settings``, overridden by ``files``, later ones last, then
-    by ``kinefilter.toml`` in the folders from the searched one down to the take's. No
-    file changes the settings ``given`` by the user. A session uses the settings of its
-    first take, and the edits beside that (``with_edits``). Clips end in ``suffix``,
-    such as ``.usdc``. Raises InputError if a settings file is wrong, one take's
-    contacts or edits would apply to several takes, a pattern of sessions matches no
-    take, or a clip would overwrite a take.
+    Settings are those of ``settings``, overridden by ``kinefilter.toml`` in the folders
+    from the searched one down to the take's, except for those ``given`` by the user. A
+    session uses the settings of its first take, and the edits beside that
+    (``with_edits``). Clips end in ``suffix``, such as ``.usdc``. Raises InputError if a
+    settings file is wrong, one take's contacts or edits would apply to several takes, a
+    pattern of sessions matches no take, or a clip would overwrite a take.
     """
 
     @cache
     def settings_of(store: Store, folder: PurePosixPath) -> Settings:
         top = folder == folder.parent
-        above = base if top else settings_of(store, folder.parent)
+        above = settings if top else settings_of(store, folder.parent)
         name = str(folder / FOLDER_FILE)
         if store.find(name) is None:
             return above
@@ -251,9 +248,8 @@ def plan_jobs(
             text = read_limited(path, LARGEST_TOML)
         place = store.path(name)
         relative_to = Path(place).parent if store.is_local else None
-        return overlaid(above, [parse_settings(text, place, relative_to)], given)
+        return overlaid(above, parse_settings(text, place, relative_to), given)
 
-    base = overlaid(settings, files, given)
     chosen = [
         settings_of(source.store, PurePosixPath(source.file.name).parent)
         for source in sources

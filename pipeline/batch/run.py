@@ -6,11 +6,10 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import perf_counter
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.settings import Settings, read_settings
+from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import cores, one_thread
 
 from .crew import Crew, open_crew
@@ -64,7 +63,6 @@ def clean_files(
     settings: Settings | None = None,
     *,
     suffix: str = ".usdc",
-    config_file: Path | None = None,
     given: Collection[str] = (),
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -78,27 +76,24 @@ def clean_files(
     After a KeyboardInterrupt, both are up to date.
 
     ``inputs`` are takes and folders to search for takes; these and ``out`` may be URLs.
-    ``suffix`` is the extension of the clips. ``config_file`` (TOML) overrides
-    ``settings``, and ``kinefilter.toml`` in the takes' folders overrides both, except
-    for the settings named in ``given``. With ``sessions`` among the settings, takes of
-    several sensors become one clip (see ``find_sessions``). Cleaning runs in ``jobs``
-    processes, by default one per core, or on the workers of a Dask ``scheduler``. A
-    take fails after ``take_timeout`` seconds, by default one hour plus one minute per
-    megabyte. ``on_progress`` is called at the start, after every take, and while there
-    are no workers.
+    ``suffix`` is the extension of the clips. ``kinefilter.toml`` in the takes' folders
+    overrides ``settings``, except for those named in ``given``. With ``sessions`` among
+    the settings, takes of several sensors become one clip (see ``find_sessions``).
+    Cleaning runs in ``jobs`` processes, by default one per core, or on the workers of a
+    Dask ``scheduler``. A take fails after ``take_timeout`` seconds, by default one hour
+    plus one minute per megabyte. ``on_progress`` is called at the start, after every
+    take, and while there are no workers.
 
     Raises InputError if the request is impossible or the manifest cannot be written. A
     faulty take raises nothing; its row in the outcome has the error.
     """
     store = store_at(out)
-    files = [] if config_file is None else [read_settings(config_file)]
     sources = find_sources(inputs, out)
     planned = plan_jobs(
         sources,
         store,
         settings or Settings(),
         suffix,
-        files=files,
         given=given,
         take_timeout=take_timeout,
     )

@@ -92,7 +92,7 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
     row: dict[str, Any] = {"clips": ()}
     errors = []
-    for body, result, merged in job.settings.clean_all(
+    for body, result, merged in job.settings.clean(
         recordings, bodies, cleaner, _while_awaited
     ):
         if isinstance(result, InputError):

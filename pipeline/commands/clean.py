@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,8 +36,7 @@ from .terminal import (
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.batch import JobProgress
-    from kinefilter.pipeline.batch.run import OnProgress
+    from kinefilter.pipeline.batch.run import JobProgress, OnProgress
     from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.merge import Merged
 
@@ -79,9 +78,7 @@ class Clean:
 
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
-        settings = self.settings
-        if self.config_file is not None:
-            settings = overlaid(settings, [read_settings(self.config_file)], self.given)
+        settings = _changed(self.settings, self.config_file, self.given)
         return replace(self, settings=settings)._run()
 
     def _run(self) -> int:
@@ -172,7 +169,7 @@ class Clean:
                 )
         results = {}
         with progress_bars() as progress:
-            for number, result, merged in settings.clean_all(
+            for number, result, merged in settings.clean(
                 recordings, numbers, progress=progress
             ):
                 if not isinstance(result, InputError):
@@ -268,7 +265,8 @@ class Batch:
 
     def run(self) -> int:
         """Clean the takes and print a summary."""
-        from kinefilter.pipeline.batch import as_tables, clean_files
+        from kinefilter.pipeline.batch.outcome_tables import as_tables
+        from kinefilter.pipeline.batch.run import clean_files
 
         if not self.inputs:
             raise InputError("no takes given; give files or folders of takes")
@@ -280,7 +278,8 @@ class Batch:
             )
         if self.jobs is not None and self.scheduler is not None:
             raise InputError("--jobs cannot be combined with --scheduler")
-        settings = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
+        own = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
+        settings = _changed(own, self.config_file, self.given)
         try:
             with _bar(self.scheduler) as show:
                 outcome = clean_files(
@@ -288,7 +287,6 @@ class Batch:
                     self.out,
                     settings,
                     suffix=f".{self.to}",
-                    config_file=self.config_file,
                     given=self.given,
                     jobs=self.jobs,
                     scheduler=self.scheduler,
@@ -300,6 +298,11 @@ class Batch:
         out.print(as_tables(outcome))
         damaged = self.fail_on_damage and outcome.damaged
         return 1 if outcome.failed or damaged else 0
+
+
+def _changed(settings: Settings, file: Path | None, given: Collection[str]) -> Settings:
+    """Return settings changed by the file of --config, except for those ``given``."""
+    return settings if file is None else overlaid(settings, read_settings(file), given)
 
 
 @contextmanager

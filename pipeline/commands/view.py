@@ -24,8 +24,9 @@ from kinefilter.pipeline.progress import Progress
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
 if TYPE_CHECKING:
-    from kinefilter.pipeline.batch import ClipRow, Row
+    from kinefilter.pipeline.batch.manifest import ClipRow, Row
     from kinefilter.pipeline.draft import Unedited
+    from kinefilter.pipeline.look.comparison import Comparison
     from kinefilter.pipeline.look.viewer import CleanAgain
 
 
@@ -87,7 +88,6 @@ class View:
         self._check(save)
         with suppress(KeyboardInterrupt):  # the regular way to quit
             drawing, again = self._drawing(EditsFile(save).read())
-            drawing, again = self._compared(drawing, again)
             with opened_server(self.bind, self.port) as server:
                 viewer = Viewer(server, drawing, save, again)
                 shown = ", ".join(map(str, self.motion))
@@ -99,7 +99,8 @@ class View:
 
     def _run_folder(self, folder: Path) -> int:
         """Serve the clips of a batch, the worst first, until interrupted."""
-        from kinefilter.pipeline.batch import figures_of, read_rows, worst_first
+        from kinefilter.pipeline.batch.manifest import read_rows
+        from kinefilter.pipeline.batch.outcome_tables import figures_of, worst_first
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import check_address, opened_server
 
@@ -142,7 +143,7 @@ class View:
         The drawing has the take if it is found and of one sensor. Cleaning again
         replaces the clip in the folder, and its row in ``clips``.
         """
-        from kinefilter.pipeline.batch import clean_again, find_takes
+        from kinefilter.pipeline.batch.again import clean_again, find_takes
 
         row, clip = clips[number]
         path, takes = folder / clip.output, find_takes(row, self.take)
@@ -197,41 +198,25 @@ class View:
         kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)
 
-    def _compared(
-        self, drawing: Drawing, again: CleanAgain | None
-    ) -> tuple[Drawing, CleanAgain | None]:
-        """Add the clip of --other to a drawing, and to those that cleaning returns."""
+    def _compared(self, drawing: Drawing) -> Drawing:
+        """Add the clip of --other, if there is one, to a drawing."""
         if self.other is None:
-            return drawing, again
+            return drawing
         from kinefilter.pipeline.look.comparison import same_times
 
-        path, other = self.other, read_finite_clip(self.other)
-
-        def added(drawing: Drawing) -> Drawing:
-            return replace(drawing, other=same_times(other, drawing.clip, path))
-
-        if again is None:
-            return added(drawing), None
-        clean_again = again
-        return added(drawing), lambda edits, steps: added(clean_again(edits, steps))
+        other = same_times(read_finite_clip(self.other), drawing.clip, self.other)
+        return replace(drawing, other=other)
 
     def _drawing(self, edits: Sequence[Edit]) -> tuple[Drawing, CleanAgain | None]:
         """Return the drawing, and a function that cleans it with other edits."""
         from kinefilter.pipeline.cleaner import Cleaner
-        from kinefilter.pipeline.look.comparison import read_comparison
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
         if self._is_clip:
             if not self.take:
-                return Drawing(read_finite_clip(self.motion[0])), None
-            with progress_bars() as progress:
-                return read_comparison(
-                    self.motion[0],
-                    *self.take,
-                    body=self.body,
-                    calibration=self.calibration,
-                    progress=progress,
-                ), None
+                clip = read_finite_clip(self.motion[0])
+                return self._compared(Drawing(clip)), None
+            return self._compared(_comparison(self.motion[0], self)), None
         calibration = read_calibration(self.calibration)
         recordings = [
             read_recording(path, format=self.format, fps=self.take_fps)
@@ -251,7 +236,7 @@ class View:
                 result = cleaner.clean(
                     take, edits=edits, before=before[0], progress=progress
                 )
-                return Drawing.of(result, take)
+                return self._compared(Drawing.of(result, take))
             result, merged = clean_session(
                 recordings,
                 config,
@@ -262,7 +247,7 @@ class View:
             )
             for note in merged.all_notes():
                 out.print(note)
-            return Drawing.of(result, merged.take, merged)
+            return self._compared(Drawing.of(result, merged.take, merged))
 
         with progress_bars() as progress:
             return draw(edits, progress), draw
@@ -337,7 +322,6 @@ class Report:
     def run(self) -> int:
         """Write the page, and print which limits were exceeded."""
         from kinefilter.pipeline.look import page
-        from kinefilter.pipeline.look.comparison import read_comparison
 
         if not self.take:
             raise InputError(
@@ -347,14 +331,7 @@ class Report:
         others = (self.clip, *self.take, self.calibration)
         check_output(self.out, *others, suffix=".html")
         gates = [page.parse_limit(text) for text in dict.fromkeys(self.fail_on)]
-        with progress_bars() as progress:
-            comparison = read_comparison(
-                self.clip,
-                *self.take,
-                body=self.body,
-                calibration=self.calibration,
-                progress=progress,
-            )
+        comparison = _comparison(self.clip, self)
         page.write_report(comparison, self.out, gates)
         out.print(f"wrote {self.out}")
         failed = [gate for gate in gates if gate.fails(comparison.after)]
@@ -362,3 +339,14 @@ class Report:
             value = comparison.after[gate.metric]
             err.print(f"kinefilter: failed {gate}: it is {value:.4g}")
         return 1 if failed else 0
+
+
+def _comparison(clip: Path, options: View | Report) -> Comparison:
+    """Return a clip beside the take that the options name."""
+    from kinefilter.pipeline.look.comparison import read_comparison
+
+    body, calibration = options.body, options.calibration
+    with progress_bars() as progress:
+        return read_comparison(
+            clip, *options.take, body=body, calibration=calibration, progress=progress
+        )

@@ -23,7 +23,7 @@ from kinefilter.pipeline.merge import Alignment, merge
 from kinefilter.pipeline.merge.lag import Clock
 from kinefilter.pipeline.merge.person import displacement
 from kinefilter.pipeline.merge.rigid import Placement
-from kinefilter.pipeline.workers import Worker
+from kinefilter.pipeline.workers import ProcessDiedError, Workers
 
 from .crowd import Person
 from .messages import Frame, SeenBody, as_arrays
@@ -35,7 +35,6 @@ _NEAR = 1.0 / 60.0  # s: a frame half a step ahead is nearer than the one before
 _KEPT, _MAX_FRAMES = 30.0, 2000  # s and frames that are kept to find places and clocks
 _MIN_SECONDS, _MIN_FRAMES = 5.0, 50  # of them that it takes
 _RETRY, _RECHECK = 2.0, 10.0  # s between answers, before and after all sensors joined
-_POLL = 0.05  # s
 _PATIENCE = 20.0  # s of frames after which a note reports that streams do not fit
 _LAG = 0.05  # s between answers that agree. A guess
 _COPIED = 1e-3  # m: only joints of the same stream, given twice, are so close
@@ -161,24 +160,22 @@ class Sensors:
 
     async def follow(self) -> None:
         """Keep finding the place and clock of all other sensors, until cancelled."""
-        worker = Worker()
+        process = Workers(1)
         try:
             while True:
                 for stream in self.others:
                     both = (one for one in (self.lead, stream) if one is not None)
-                    pair = [one.recording(self._skeleton) for one in both]
-                    if None in pair:
+                    found = [one.recording(self._skeleton) for one in both]
+                    pair = [recording for recording in found if recording is not None]
+                    if len(pair) < 2:
                         continue
-                    try:
-                        # In a thread, as the process may still be starting.
-                        await asyncio.to_thread(worker.call, find_alignment, pair)
-                        self._consider(stream, await _answer_of(worker))
-                    except (EOFError, OSError):  # the process was killed
-                        worker = Worker()
+                    answer = asyncio.wrap_future(process.submit(find_alignment, pair))
+                    with suppress(ProcessDiedError):  # it was killed
+                        self._consider(stream, await answer)
                 ready = self.others and len(self.joined) == len(self.others)
                 await asyncio.sleep(_RECHECK if ready else _RETRY)
         finally:
-            worker.end()
+            process.end(0.0)
 
     def update_notes(self, now: float) -> None:
         """Update the tally's notes on the sensors, now [s]."""
@@ -254,15 +251,6 @@ def find_alignment(recordings: Sequence[Recording]) -> Alignment | str:
         copied = found.trunk_distance < _COPIED
         return f"it repeats the stream of {first}" if copied else found
     return "its frames cannot be aligned"
-
-
-async def _answer_of(worker: Worker) -> Alignment | str:
-    """Wait for the result; raise EOFError or OSError if the process was killed."""
-    for _ in range(2):  # True when it has begun, then the result
-        while not worker.calls.poll():
-            await asyncio.sleep(_POLL)
-        found: Alignment | str = worker.calls.recv()
-    return found
 
 
 def _joined_note(stream: Stream, lead: Stream) -> str:

@@ -103,18 +103,13 @@ class StickFigure:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Sensor:
-    """A sensor of a session and what it saw, in the world frame of a clip."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensor(StickFigure):
+    """A sensor of a session and what it saw, with the joints of the merged take."""
 
     name: str
     """Number of the sensor, from 1, and name of its take."""
-    color: tuple[int, int, int]
-    """Red, green and blue, 0 to 255."""
-    skeleton: Skeleton
-    """Skeleton of the merged take."""
-    joints: Array
-    """Joint positions it saw at the clip's frames [m], NaN where none, (T, J, 3)."""
+    color: Color
     residuals: Array
     """Distances of these from the joints of the merged take [m], shape (T, J)."""
     shares: Array
@@ -180,9 +175,7 @@ class Drawing:
         if self.other is not None:
             positions = self.other.positions
             figures["other"] = StickFigure(self.other.skeleton, positions, OTHER)
-        return figures | {
-            s.name: StickFigure(s.skeleton, s.joints, s.color) for s in self.sensors
-        }
+        return figures | {sensor.name: sensor for sensor in self.sensors}
 
     @property
     def layers(self) -> dict[str, bool]:
@@ -243,7 +236,7 @@ def sensors_of(merged: Merged, raw: Array) -> tuple[Sensor, ...]:
                 name=f"{k + 1}: {Path(take.source.removesuffix('.gz')).stem}",
                 color=SENSORS[k % len(SENSORS)],
                 skeleton=merged.take.skeleton,
-                joints=placed.apply(merged.seen[k]),
+                positions=placed.apply(merged.seen[k]),
                 residuals=residuals[k],
                 shares=merged.shares[:, k],
                 frustum=placed.apply(corners),

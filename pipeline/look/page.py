@@ -196,7 +196,7 @@ def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, An
                 "name": sensor.name,
                 "color": "#{:02x}{:02x}{:02x}".format(*sensor.color),
                 "edges": millimeters(sensor.edges).tolist(),
-                "joints": packed(millimeters(sensor.joints), "i2"),
+                "joints": packed(millimeters(sensor.positions), "i2"),
                 "residuals": packed(millimeters(sensor.residuals), "i2"),
                 "shares": packed(sensor.shares * 100.0, "u1"),
                 "share": packed(sensor.shares.mean(axis=1) * 100.0, "f4"),

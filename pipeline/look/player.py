@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any, get_args
@@ -16,6 +17,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.recording import numbered
 from kinefilter.pipeline.physics.playground import RATE, Playground
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes import SCENES
 
 from .drawing import Drawing, StickFigure
@@ -193,17 +195,20 @@ class Player(ServedPage):
         self._playground.drag(joint, start, end, number)
 
     @property
+    def _acted_on(self) -> Sequence[PulledCharacter]:
+        """The characters that the buttons act on."""
+        characters, number = self._playground.characters, self._number
+        return characters if number is None else characters[number : number + 1]
+
+    @property
     def _limp(self) -> bool:
         """Whether nothing pulls the characters that the buttons act on."""
-        if self._number is None:
-            return self._playground.limp
-        return self._playground.characters[self._number].limp
+        return all(character.limp for character in self._acted_on)
 
     def _let_go(self, _: object) -> None:
-        if self._number is None:
-            self._playground.limp = not self._limp
-        else:
-            self._playground.characters[self._number].limp = not self._limp
+        limp = not self._limp
+        for character in self._acted_on:
+            character.limp = limp
 
     def _choose(self, name: str) -> None:
         self._number = None if name == "all" else int(name) - 1
@@ -223,18 +228,15 @@ class Player(ServedPage):
             self._playground.record()
             self._report("")
             return
-        clips, path, number = self._playground.recorded(), self._save, 1
-        several = len(clips) > 1
-        while any(
-            numbered(path, k + 1 if several else None).exists()
-            for k in range(len(clips))
-        ):
-            path, number = numbered(self._save, number + 1), number + 1
-        paths = [numbered(path, k + 1 if several else None) for k in range(len(clips))]
+        clips = self._playground.recorded()
+        bodies = range(1, len(clips) + 1) if len(clips) > 1 else (None,)
+        names = (numbered(self._save, k if k > 1 else None) for k in count(1))
+        recordings = ([numbered(name, body) for body in bodies] for name in names)
+        paths = next(r for r in recordings if not any(path.exists() for path in r))
         for clip, to in zip(clips, paths, strict=True):
             write_clip(clip, to)
-        names = ", ".join(map(str, paths))
-        self._report(f"wrote {names}, {clips[0].time[-1]:.1f} s")
+        written = ", ".join(map(str, paths))
+        self._report(f"wrote {written}, {clips[0].time[-1]:.1f} s")
 
 
 def _add_grips(

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags, Indices, runs
 
-from .drawing import PHYSICS, Drawing, StickFigure, reliability_colors
+from .drawing import PHYSICS, Color, Drawing, StickFigure, reliability_colors
 
 AXES = ("x (left)", "y (up)", "z (forward)")
 """The coordinates of a joint, in the clip's world frame."""
@@ -60,7 +60,7 @@ class Curves:
             for name, color in names.items()
         )
 
-    def _line(self, times: Array, values: Array, color: tuple[int, int, int]) -> str:
+    def _line(self, times: Array, values: Array, color: Color) -> str:
         heights = _HEIGHT * (self._high - values) / (self._high - self._low)
         path, begins = [], True
         for x, y in zip(times.tolist(), heights.tolist(), strict=True):

@@ -6,7 +6,6 @@ import re
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats.files import check_folder, make_folder
 from kinefilter.pipeline.progress import Progress, silent
-from kinefilter.pipeline.workers import cores, workers
+from kinefilter.pipeline.workers import ProcessDiedError, cores, workers
 
 from .cameras import CAMERAS, camera_of
 from .options import Look
@@ -150,25 +149,14 @@ def _draw(
     planned: list[_Job], backend: Backend, count: int, steps: Iterator[int]
 ) -> None:
     """Draw jobs with ``count`` processes; note the failure of each that fails."""
-    left = deque(planned)
     share = sum(job.frames for job in planned) // count
     groups = [stretches(job.frames, share) for job in planned]
     processes = min(count, max(sum(map(len, groups)), 1))
     with workers(processes, environment=backend.environment) as pool:
-        try:
-            for job, group in zip(planned, groups, strict=True):
-                job.futures = {pool.submit(draw_parts, job.task, k): k for k in group}
-            while left:
-                _finish(left[0], steps)
-                left.popleft()
-        except BrokenProcessPool:
-            if len(planned) == 1:
-                job = left.pop()
-                reason = "a process drawing it died, perhaps for lack of memory"
-                job.failure = f"{job.task.clip}: {reason}"
-    # To find the clip that a process died of, draw each with processes of its own.
-    for job in left:
-        _draw([job], backend, count, steps)
+        for job, group in zip(planned, groups, strict=True):
+            job.futures = {pool.submit(draw_parts, job.task, k): k for k in group}
+        for job in planned:
+            _finish(job, steps)
 
 
 def _finish(job: _Job, steps: Iterator[int]) -> None:
@@ -188,12 +176,11 @@ def _finish(job: _Job, steps: Iterator[int]) -> None:
         else:
             write = write_mp4 if out.suffix.lower() == ".mp4" else write_gif
             write(parts(), out, size, job.rate)
-    except BrokenProcessPool:
-        raise
     except Exception as error:  # the other clips are drawn nevertheless
         for future in job.futures:
             future.cancel()
-        job.failure = str(error)
-        if not isinstance(error, InputError):
-            kind = type(error).__name__
-            job.failure = f"{job.task.clip}: cannot be drawn ({kind}: {error})"
+        reason = f"cannot be drawn ({type(error).__name__}: {error})"
+        if isinstance(error, ProcessDiedError):
+            reason = "a process drawing it died, perhaps for lack of memory"
+        named = isinstance(error, InputError)
+        job.failure = str(error) if named else f"{job.task.clip}: {reason}"

@@ -224,16 +224,6 @@ class Playground:
         return ", ".join(map(_doing, self.characters))
 
     @property
-    def limp(self) -> bool:
-        """Whether nothing pulls the characters; can be set."""
-        return all(character.limp for character in self.characters)
-
-    @limp.setter
-    def limp(self, value: bool) -> None:
-        for character in self.characters:
-            character.limp = value
-
-    @property
     def recording(self) -> int | None:
         """Number of frames recorded so far; None if nothing is being recorded."""
         return None if self._frames is None else len(self._frames)
