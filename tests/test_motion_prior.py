@@ -130,7 +130,7 @@ def test_the_error_of_joints_has_the_gradient_of_its_differences() -> None:
 
 def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:
     pairs = list(simulated_pairs("kinect_v1", people=6))
-    lessons = read_lessons(map(Recording.of, pairs), (True,))
+    lessons = read_lessons(map(Recording.of, pairs), ("between",))
     people = sorted({lesson.person for lesson in lessons})
 
     def rows(some: list[str]) -> list[Lesson]:

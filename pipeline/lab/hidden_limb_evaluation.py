@@ -27,6 +27,7 @@ from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
+from kinefilter.pipeline.reconstruct.prior import Mode
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
@@ -170,7 +171,8 @@ def _folds(
     if recordings:
         read = [one for file in recordings for one in recordings_in(file)]
         read += map(Recording.of, pairs)
-        lessons = read_lessons(over(read, "read", progress), (not options.live,))
+        mode: Mode = "before" if options.live else "between"
+        lessons = read_lessons(over(read, "read", progress), (mode,))
     for person in people:
         own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not own:

@@ -2,9 +2,9 @@
 
 ``python -m kinefilter.pipeline.lab.limb_lessons OUT.npz RECORDINGS...`` writes the
 weights of ``reconstruct.prior``. Recordings are pairs files, takes, or mocap in BVH; in
-each, limbs are treated as hidden for random intervals. It then prints, for each person
-and each third of the movements in the pairs, the errors of networks trained without
-them, in percent of the errors without networks.
+each, limbs are treated as hidden for random intervals, and as unseen throughout. It
+then prints, for each person and each third of the movements in the pairs, the errors of
+networks trained without them, in percent of the errors without networks.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,15 +35,19 @@ from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
+    HANGING,
     OUTPUT,
     PARTS,
+    Mode,
     MotionPrior,
     Network,
     inputs_of,
     network_name,
     part_of,
+    posture_inputs,
 )
 from kinefilter.pipeline.reconstruct.stage import hidden_joints
+from kinefilter.pipeline.reconstruct.unseen import standing_height
 from kinefilter.pipeline.reconstruct.windows import (
     BridgedMotion,
     Limb,
@@ -111,13 +115,12 @@ class Recording(NamedTuple):
         return cls(pair.subject, pair.movement, pair.clip, pair.take)
 
 
-def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
-    """Hide limbs in random stretches of a recording.
+def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
+    """Hide limbs in random stretches of a recording, or in all of it.
 
     Args:
         recording: The recording; its name is the random seed.
-        modes: False: only the frames before a stretch are known; True: also those
-            after it. Either or both.
+        modes: The networks to make training data for.
     """
     draft = Cleaner().until("measure").whole(recording.take)
     rng = np.random.default_rng(zlib.crc32(recording.name.encode()))
@@ -142,11 +145,39 @@ def lesson_of(recording: Recording, modes: Sequence[bool]) -> Lesson:
             around = slice(start - _CONTEXT, start + length + _CONTEXT)
             joined = seen.joined[around][1:].all()
             if joined and known[around].mean(axis=0).min() > _VISIBLE:
-                for ahead in modes:
-                    starts = np.array([start])
+                for mode in (mode for mode in modes if mode != "unseen"):
+                    starts, ahead = np.array([start]), mode == "between"
                     stretch = Stretches(seen, one, starts, length, at[None], ahead)
                     parts.append(_rows(stretch))
+    if "unseen" in modes:
+        parts.extend(_unseen_rows(seen, rng))
     return Lesson(recording.person, recording.movement, _concatenated(parts))
+
+
+def _unseen_rows(seen: BridgedMotion, rng: np.random.Generator) -> Iterator[Lessons]:
+    """Yield training data in which a limb was never seen; the opposite one as often."""
+    skeleton, heights = seen.skeleton, seen.heading.root[:, 1]
+    count, parents = len(heights), list(skeleton.parents)
+    wanted = min(max(_FEWEST, count // _FRAMES_PER_STRETCH), _MOST, count)
+    bones = seen.positions - seen.positions[:, parents]
+    bones[~seen.known] = np.nan
+    lower = heights - standing_height(heights)
+    for joints, outer in product(limbs(skeleton), (1, 2)):
+        hidden = joints[outer:]
+        frames = np.sort(rng.choice(count, wanted, replace=False))
+        frames = frames[seen.known[frames][:, hidden].all(axis=1)]
+        if not len(frames):
+            continue
+        part, mirrored = part_of(skeleton, hidden)
+        shown = bones[frames]
+        alone = np.flatnonzero(rng.random(len(frames)) < 0.5)
+        shown[np.ix_(alone, skeleton.mirror[list(hidden)])] = np.nan
+        inputs = posture_inputs(skeleton, hidden, shown, lower[frames])
+        flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+        truth = flip * seen.directions[frames][:, hidden]
+        base = np.broadcast_to(HANGING, truth.shape)
+        rows = Rows(*(a.astype(np.float32) for a in (inputs, base, truth)))
+        yield {network_name(part, "unseen"): rows}
 
 
 def _limb(
@@ -164,7 +195,7 @@ def _limb(
 
 
 def _rows(stretch: Stretches) -> Lessons:
-    part, mirrored = part_of(stretch.seen.skeleton, stretch.limb)
+    part, mirrored = part_of(stretch.seen.skeleton, stretch.limb.hidden)
     windows = describe(stretch)
     flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
     arrays = (
@@ -173,7 +204,8 @@ def _rows(stretch: Stretches) -> Lessons:
         flip * windows.truth[0],
     )
     rows = Rows(*(array.astype(np.float32) for array in arrays))
-    return {network_name(part, ahead=stretch.ahead): rows}
+    mode: Mode = "between" if stretch.ahead else "before"
+    return {network_name(part, mode): rows}
 
 
 def joined(lessons: Iterable[Lesson]) -> Lessons:
@@ -231,7 +263,7 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     count = len(_LAYERS) + 1
     layers = list(zip(averaged[:count], averaged[count:], strict=True))
     layers[0] = (layers[0][0] / spread[:, None], layers[0][1])
-    factor = _SHRINKAGE[part]
+    factor = 1.0 if name == network_name(part, "unseen") else _SHRINKAGE[part]
     layers[-1] = (factor * layers[-1][0], factor * layers[-1][1])
     return mean, layers
 
@@ -270,17 +302,17 @@ def recordings_in(file: Path) -> Iterator[Recording]:
 
 
 def read_lessons(
-    recordings: Iterable[Recording], modes: Sequence[bool]
+    recordings: Iterable[Recording], modes: Sequence[Mode]
 ) -> list[Lesson]:
     """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
         read = partial(lesson_of, modes=modes)
-        return list(pool.map(read, recordings, chunksize=8))
+        return list(pool.map(read, recordings))
 
 
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:
     """Train a prior on clips, for gaps after which the limb is visible again."""
-    return train_prior(joined(lesson_of(Recording.of(p), (True,)) for p in pairs))
+    return train_prior(joined(lesson_of(Recording.of(p), ("between",)) for p in pairs))
 
 
 def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
@@ -322,7 +354,7 @@ def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
 def main(out: Path, files: Sequence[str]) -> None:
     """Train on recordings, write the weights, and print ``relative_errors``."""
     recordings = [r for file in files for r in recordings_in(Path(file))]
-    lessons = read_lessons(recordings, (False, True))
+    lessons = read_lessons(recordings, get_args(Mode))
     write_arrays(out, train_prior(joined(lessons)).arrays())
     pairs = [Path(file) for file in files if file.endswith(".npz")]
     people = sorted({one.person for file in pairs for one in recordings_in(file)})

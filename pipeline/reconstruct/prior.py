@@ -2,9 +2,10 @@
 
 Small networks predict how far a limb departs from continuing its motion, from what the
 rest of the body does meanwhile and how the limb moved before (and after). They were
-trained on takes and mocap in which it was seen (``pipeline.lab.limb_lessons``). Right
-limbs are treated as mirror images of left ones, and segments are identified by name, so
-the same networks serve all sensors.
+trained on takes and mocap in which it was seen (``pipeline.lab.limb_lessons``). For
+limbs that were never seen, others predict it from the posture of the rest of the body
+alone. Right limbs are treated as mirror images of left ones, and segments are
+identified by name, so the same networks serve all sensors.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.npz import read_arrays
 
 from . import windows
-from .windows import Descriptions, Limb, Stretches
+from .windows import Descriptions, Stretches
 
 # Hidden segments by the name of their networks.
 PARTS = {
@@ -35,13 +36,19 @@ PARTS = {
     "shin": ("Ankle",),
 }
 OUTPUT = 0.2  # departure of a direction's component at a network output of 1
+HANGING = np.array([0.0, -1.0, 0.0])  # direction from which an unseen limb departs
 _OTHERS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 _LONGEST = 8.0  # longest time among the features: there were no longer gaps in training
 _MOVES = 0.3  # change of a direction that corresponds to an input of 1
 _MOST = 1.0  # maximum departure of a component, for unusual inputs
+_MOST_UNSEEN = 2.0  # the same for an unseen limb, which may point up
+_BONE, _LOWER = 0.3, 0.2  # m of a segment, and of the hips' height, for an input of 1
 _NEAR = 0.2  # s from the ends of a gap within which the departure fades to zero
 
+Segments = tuple[int, ...]
 Network = list[tuple[Array, Array]]
+Mode = Literal["between", "before", "unseen"]
+"""What is known of a hidden limb: its motion before and after, before, or nothing."""
 
 
 class MotionPrior:
@@ -79,9 +86,10 @@ class MotionPrior:
         return arrays
 
     def change(self, name: str, inputs: Array) -> Array:
-        """Return the departure of directions from continued motion, shape (..., 3 H).
+        """Return the departure of directions from the base, shape (..., 3 H).
 
-        ``name`` is that of the network; ``inputs`` (..., F) come from ``inputs_of``.
+        ``name`` is that of the network; ``inputs`` (..., F) come from ``inputs_of`` or
+        ``posture_inputs``.
         """
         mean, layers = self.networks[name]
         values = np.where(np.isnan(inputs), 0.0, inputs - mean)
@@ -89,13 +97,14 @@ class MotionPrior:
             values = values @ weights + biases
             if k < len(layers) - 1:
                 values = np.maximum(values, 0.0)
-        return np.clip(OUTPUT * values, -_MOST, _MOST)
+        most = _MOST_UNSEEN if name.endswith("unseen") else _MOST
+        return np.clip(OUTPUT * values, -most, most)
 
     def describe(self, hidden: Stretches) -> Descriptions:
         """Describe stretches as ``windows.describe`` does, with the learned base."""
         found = windows.describe(hidden)
-        part, mirrored = part_of(hidden.seen.skeleton, hidden.limb)
-        name = network_name(part, ahead=hidden.ahead)
+        part, mirrored = part_of(hidden.seen.skeleton, hidden.limb.hidden)
+        name = network_name(part, "between" if hidden.ahead else "before")
         if name not in self.networks:
             return found
         inputs = inputs_of(hidden, found)
@@ -106,6 +115,24 @@ class MotionPrior:
             change[..., 0] *= -1.0
         return replace(found, base=unit(found.base + change))
 
+    def unseen(
+        self, skeleton: Skeleton, hidden: Segments, bones: Array, lower: Array
+    ) -> Array | None:
+        """Return the likely directions of a limb's unseen segments, (..., H, 3).
+
+        None if there is no network for them. ``hidden`` are the segments, from the
+        trunk outwards; see ``posture_inputs`` for the other arguments.
+        """
+        part, mirrored = part_of(skeleton, hidden)
+        if (name := network_name(part, "unseen")) not in self.networks:
+            return None
+        inputs = posture_inputs(skeleton, hidden, bones, lower)
+        change = self.change(name, inputs)
+        directions = unit(HANGING + change.reshape(*inputs.shape[:-1], -1, 3))
+        if mirrored:
+            directions[..., 0] *= -1.0
+        return directions
+
 
 @cache
 def default_prior() -> MotionPrior:
@@ -113,14 +140,14 @@ def default_prior() -> MotionPrior:
     return MotionPrior.load(Path(__file__).parents[1] / "embedded" / "hidden_limbs.npz")
 
 
-def network_name(part: str, *, ahead: bool) -> str:
-    """Return a part's network name; ``ahead`` if frames after the gap are known."""
-    return f"{part}_{'between' if ahead else 'before'}"
+def network_name(part: str, mode: Mode) -> str:
+    """Return the name of the network for a part."""
+    return f"{part}_{mode}"
 
 
-def part_of(skeleton: Skeleton, limb: Limb) -> tuple[str, bool]:
+def part_of(skeleton: Skeleton, hidden: Segments) -> tuple[str, bool]:
     """Return the hidden part out of PARTS, "" for none, and True for a right limb."""
-    names = [skeleton.joints[j] for j in limb.hidden]
+    names = [skeleton.joints[j] for j in hidden]
     for mirrored, side in enumerate(SIDES):
         for part, joints in PARTS.items():
             if names == [joint + side for joint in joints]:
@@ -135,11 +162,7 @@ def inputs_of(hidden: Stretches, found: Descriptions) -> Array:
     hidden as well enter as if they did not move.
     """
     skeleton, limb = hidden.seen.skeleton, hidden.limb
-    _, mirrored = part_of(skeleton, limb)
-    trunk = (skeleton.parents[skeleton.girdle], skeleton.girdle)
-    sides = SIDES[::-1] if mirrored else SIDES
-    others = (skeleton.index(name + side) for side in sides for name in _OTHERS)
-    body = tuple(j for j in (*trunk, *others) if j not in limb.hidden)
+    body, mirrored = _rest_of_body(skeleton, limb.hidden)
     change, speed, place = windows.visible_motion(hidden, body)
     gone = np.repeat([j not in limb.visible for j in body], 3)
     place[..., gone] -= change[..., gone]
@@ -155,3 +178,29 @@ def inputs_of(hidden: Stretches, found: Descriptions) -> Array:
     if mirrored:
         vectors[..., ::3] *= -1.0
     return np.concatenate([vectors, np.minimum(elapsed, _LONGEST)], axis=-1)
+
+
+def posture_inputs(
+    skeleton: Skeleton, hidden: Segments, bones: Array, lower: Array
+) -> Array:
+    """Return the inputs of the networks for unseen limbs, (..., F), as for a left one.
+
+    ``bones`` are all segments as vectors [m] in the heading frame, shape (..., J, 3),
+    NaN where they are not seen, and ``lower`` is the height of the root [m] relative to
+    where the person stands, shape (...).
+    """
+    body, mirrored = _rest_of_body(skeleton, hidden)
+    vectors = bones[..., list(body), :] / _BONE
+    if mirrored:
+        vectors = vectors * [-1.0, 1.0, 1.0]
+    flat = vectors.reshape(*lower.shape, -1)
+    return np.concatenate([flat, lower[..., None] / _LOWER], axis=-1)
+
+
+def _rest_of_body(skeleton: Skeleton, hidden: Segments) -> tuple[Segments, bool]:
+    """Return the segments that are inputs, and True if they are mirror images."""
+    _, mirrored = part_of(skeleton, hidden)
+    trunk = (skeleton.parents[skeleton.girdle], skeleton.girdle)
+    sides = SIDES[::-1] if mirrored else SIDES
+    others = (skeleton.index(name + side) for side in sides for name in _OTHERS)
+    return tuple(j for j in (*trunk, *others) if j not in hidden), mirrored

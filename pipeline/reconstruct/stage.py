@@ -15,8 +15,9 @@ from kinefilter.pipeline.target.floor import leveled
 
 from .hidden_limbs import fill_hidden
 from .limbs import in_limbs
-from .prior import MotionPrior
+from .prior import MotionPrior, default_prior
 from .tracker import HiddenLimbTracker
+from .unseen import fill_unseen
 
 _MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred joints are kept
 _LATELY = 300  # frames over which that share is averaged in live motion
@@ -74,7 +75,10 @@ class Reconstruct(Stage):
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
         filled, which = fill_hidden(time, positions, hidden, skeleton, self._prior)
-        draft.filled, draft.hidden = filled[first:], which[first:]
+        unseen, prior = hidden.all(axis=0), self._prior or default_prior()
+        own = (draft.time, filled[first:], unseen, draft.body, prior)
+        draft.filled, pointed = fill_unseen(*own)
+        draft.hidden = which[first:] | pointed
 
 
 def hidden_joints(

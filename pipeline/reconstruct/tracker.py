@@ -18,11 +18,13 @@ from .hidden_limbs import PAUSE
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import Recall, learn
+from .unseen import point_unseen, standing_height
 from .windows import BridgedMotion, Limb, Stretches
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
 _LEARNS = 0.1  # s for which a limb is hidden before the recent frames are learned from
 _JOINS = 0.2  # s in which a limb that is seen again returns to the measurement
+_SETTLES = 0.2  # s: time constant of the directions of a limb that was never seen
 _FADES = 0.1  # s in which what was learned fades in
 _STRETCH = 1.5  # s: length of the stretches to learn from
 _NEW = 0.03  # weight of a frame in the mean angle of a hand: about a second
@@ -45,14 +47,16 @@ class HiddenLimbTracker:
     """Fills the hidden joints of each frame from the frames before.
 
     A limb continues its motion and comes to rest, a planted foot stays in place, and
-    what the last minute shows of the limb's motion is added. When the limb is seen
-    again, it returns to the measurement within a fifth of a second.
+    what the last minute shows of the limb's motion is added. Until it is seen first, it
+    is where people mostly have it. When the limb is seen again, it returns to the
+    measurement within a fifth of a second.
     """
 
     def __init__(self, body: Body, prior: MotionPrior | None = None) -> None:
         self._prior = prior or default_prior()
         self._body, self._limbs = body, limbs(body.skeleton)
         self._parents = np.array(body.skeleton.parents)
+        self._middles_and_ends = [j for _, *joints in self._limbs for j in joints]
         self._hands = [j for j in body.skeleton.order if body.skeleton.hands[j]]
         self.start()
 
@@ -73,7 +77,8 @@ class HiddenLimbTracker:
         """Return the next frame's joint positions [m], and flags of filled joints.
 
         Positions are in the sensor frame with y up, shape (J, 3), and the time stamp
-        [s] is later than the last. Joints that were never seen stay as they are.
+        [s] is later than the last. Hands and feet that were never seen stay as they
+        are, and so does the trunk.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
@@ -92,6 +97,17 @@ class HiddenLimbTracker:
         directions = unit(placed - placed[self._parents])
         last = self._directions[k - 1] if k else self._body.directions
         directions[~known] = last[~known]
+        self._ever |= there
+        pointed = np.zeros_like(there)
+        if not self._ever[self._middles_and_ends].all():
+            bones = self._body.lengths[:, None] * directions
+            lower = root[1] - standing_height(self._root[: k + 1, 1])
+            pointed = point_unseen(bones, ~self._ever, lower, self._body, self._prior)
+            if k:
+                share = min((time - self._times[k - 1]) / _SETTLES, 1.0)
+                likely = unit(bones[pointed])
+                bones[pointed] = last[pointed] + share * (likely - last[pointed])
+            directions[pointed] = unit(bones[pointed])
         for j in self._hands:
             along = directions[self._parents[j]]
             if known[j]:
@@ -101,17 +117,16 @@ class HiddenLimbTracker:
         self._known[k], self._directions[k] = known, directions
         self._positions[k] = self._placed(placed, there, directions)
         for limb, joints in enumerate(self._limbs):
-            if hidden[list(joints[1:])].any() and k:
+            if (hidden & self._ever)[list(joints[1:])].any() and k:
                 self._continue(limb, joints, k)
             else:
                 self._gaps.pop(limb, None)
         filled = self._placed(placed, there, self._directions[k])
         self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])
         self._count += 1
-        self._ever |= there
-        hidden &= self._ever
+        placeable = self._ever | pointed
         found = heading.restore(self._positions[k])
-        return np.where(self._ever[:, None], found, positions), hidden
+        return np.where(placeable[:, None], found, positions), hidden & placeable
 
     def _remember(self, time: float) -> int:
         """Make room for the next frame and return its row."""
