@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.pipeline.cleaner import Cleaner
@@ -33,6 +34,7 @@ from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import HANGING
 
 Array = NDArray[np.float64]
+out = Console()
 LIMBS = ("left-arm", "arms", "left-leg", "legs")
 _FRAMES = 300  # of each take
 
@@ -94,10 +96,11 @@ def main() -> None:
         step = options.every if person else 1
         takes = [one.take.at(slice(_FRAMES)) for one in recordings[::step]]
         found = np.array([list(errors(take, plain, trained)) for take in takes])
-        print(person or "takes", len(takes), found.mean(axis=0).round(1).tolist())
+        out.print(person or "takes", len(takes), found.mean(axis=0).round(1).tolist())
         rows.append(found.mean(axis=0))
     for limb, figures in zip(LIMBS, np.mean(rows, axis=0), strict=True):
-        print(limb, "hanging, without networks, with [cm]:", figures.round(1).tolist())
+        shown = figures.round(1).tolist()
+        out.print(limb, "hanging, without networks, with [cm]:", shown)
 
 
 if __name__ == "__main__":
