@@ -75,7 +75,8 @@ class Reconstruct(Stage):
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
         filled, which = fill_hidden(time, positions, hidden, skeleton, self._prior)
-        unseen, prior = hidden.all(axis=0), self._prior or default_prior()
+        unseen = np.asarray(hidden.all(axis=0))
+        prior = self._prior or default_prior()
         own = (draft.time, filled[first:], unseen, draft.body, prior)
         draft.filled, pointed = fill_unseen(*own)
         draft.hidden = which[first:] | pointed
