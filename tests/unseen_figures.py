@@ -96,7 +96,8 @@ def main() -> None:
         step = options.every if person else 1
         takes = [one.take.at(slice(_FRAMES)) for one in recordings[::step]]
         found = np.array([list(errors(take, plain, trained)) for take in takes])
-        out.print(person or "takes", len(takes), found.mean(axis=0).round(1).tolist())
+        shown = found.mean(axis=0).round(1).tolist()
+        out.print(person or "takes", len(takes), shown, soft_wrap=True)
         rows.append(found.mean(axis=0))
     for limb, figures in zip(LIMBS, np.mean(rows, axis=0), strict=True):
         shown = figures.round(1).tolist()

@@ -72,6 +72,11 @@ _AVERAGED = 10  # last epochs, whose weights are averaged
 _NOISE = 0.2  # standard deviations added to each input, against overfitting
 _SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 """Factors of the networks' outputs, chosen on unseen movements."""
+# Of limbs that are never seen: chosen by leaving out s02, s03 and s04, four movements,
+# all CMU mocap, all other takes, or all people with two sensors.
+_UNSEEN_NOISE = 0.3
+_UNSEEN_SHRINKAGE = {"arm": 0.7, "forearm": 1.0, "leg": 0.85, "shin": 0.7}
+_SHARE_OF_PAIRS = 0.15  # for arms; with all, everyone would do the exercises in pairs
 _SMALL = 0.02  # m: smaller errors count as their squares, as in the pseudo-Huber loss
 _LARGE = 0.06  # m: error for which the loss is about one; the penalty is relative to it
 _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
@@ -108,11 +113,14 @@ class Recording(NamedTuple):
     movement: str
     name: str
     take: Take
+    share: float = 1.0
+    """Share of its frames to learn unseen arms from."""
 
     @classmethod
     def of(cls, pair: PairedTake) -> Recording:
         """Return the Kinect take of a pair."""
-        return cls(pair.subject, pair.movement, pair.clip, pair.take)
+        clip = pair.clip, pair.take, _SHARE_OF_PAIRS
+        return cls(pair.subject, pair.movement, *clip)
 
 
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
@@ -150,25 +158,28 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
                     stretch = Stretches(seen, one, starts, length, at[None], ahead)
                     parts.append(_rows(stretch))
     if "unseen" in modes:
-        parts.extend(_unseen_rows(seen, rng))
+        parts.extend(_unseen_rows(seen, recording.share, rng))
     return Lesson(recording.person, recording.movement, _concatenated(parts))
 
 
-def _unseen_rows(seen: BridgedMotion, rng: np.random.Generator) -> Iterator[Lessons]:
+def _unseen_rows(
+    seen: BridgedMotion, share: float, rng: np.random.Generator
+) -> Iterator[Lessons]:
     """Yield training data in which a limb was never seen; the opposite one as often."""
     skeleton, heights = seen.skeleton, seen.heading.root[:, 1]
     count, parents = len(heights), list(skeleton.parents)
-    wanted = min(max(_FEWEST, count // _FRAMES_PER_STRETCH), _MOST, count)
+    most = min(max(_FEWEST, count // _FRAMES_PER_STRETCH), _MOST, count)
     bones = seen.positions - seen.positions[:, parents]
     bones[~seen.known] = np.nan
     lower = heights - standing_height(heights)
     for joints, outer in product(limbs(skeleton), (1, 2)):
         hidden = joints[outer:]
+        part, mirrored = part_of(skeleton, hidden)
+        wanted = max(round(share * most), 1) if "arm" in part else most
         frames = np.sort(rng.choice(count, wanted, replace=False))
         frames = frames[seen.known[frames][:, hidden].all(axis=1)]
         if not len(frames):
             continue
-        part, mirrored = part_of(skeleton, hidden)
         shown = bones[frames]
         alone = np.flatnonzero(rng.random(len(frames)) < 0.5)
         shown[np.ix_(alone, skeleton.mirror[list(hidden)])] = np.nan
@@ -235,6 +246,9 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     spread = np.std(rows.inputs, axis=0, where=known, dtype=float) + _SPREAD_FLOOR
     inputs = np.where(known, (rows.inputs - mean) / spread, 0.0).astype(np.float32)
     part = name.partition("_")[0]
+    scale, factor = _NOISE, _SHRINKAGE[part]
+    if name == network_name(part, "unseen"):
+        scale, factor = _UNSEEN_NOISE, _UNSEEN_SHRINKAGE[part]
     body = standard_body(KINECT_V1)
     limb = [body.skeleton.index(joint + SIDES[0]) for joint in PARTS[part]]
     lengths = body.lengths[limb].astype(np.float32)
@@ -248,7 +262,7 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
         order = rng.permutation(len(inputs))
         for batch in order[: len(order) // size * size].reshape(-1, size):
             noise = rng.standard_normal((size, inputs.shape[1]), np.float32)
-            given = inputs[batch] + _NOISE * noise
+            given = inputs[batch] + scale * noise
             outputs = network.predict(given)
             # The library knows squared errors only, of which the gradient is outputs -
             # targets: with these targets it is that of the joints' error.
@@ -263,7 +277,6 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     count = len(_LAYERS) + 1
     layers = list(zip(averaged[:count], averaged[count:], strict=True))
     layers[0] = (layers[0][0] / spread[:, None], layers[0][1])
-    factor = 1.0 if name == network_name(part, "unseen") else _SHRINKAGE[part]
     layers[-1] = (factor * layers[-1][0], factor * layers[-1][1])
     return mean, layers
 
