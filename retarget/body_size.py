@@ -55,6 +55,9 @@ def measured_body(
     known = _mean_of_sides(known, known[skeleton.mirror])
     legs = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
     stack = [*legs, *skeleton.ancestors(skeleton.index("Head"))]
+    arms = [skeleton.index("ElbowLeft"), skeleton.index("WristLeft")]
+    if np.isnan(known[legs]).all() and np.isfinite(known[arms]).all():
+        stack = arms  # tell a stature better than the trunk, which has no landmarks
     upright = [j for j in stack if np.isfinite(known[j])]
     share = known[upright].sum() / average[upright].sum() if upright else 1.0
     stature = STANDARD_HEIGHT * float(share)

@@ -295,6 +295,17 @@ def test_left_and_right_share_their_mean_and_one_serves_for_both() -> None:
             assert body.lengths[i(joint + side)] == pytest.approx(length)
 
 
+def test_unseen_legs_are_as_long_as_the_arms_suggest() -> None:
+    average = standard_body(KINECT_V1).lengths
+    legs = [j for part in ("Knee", "Ankle", "Foot") for j in KINECT_V1.sides(part)]
+    arms = [j for part in ("Elbow", "Wrist", "Hand") for j in KINECT_V1.sides(part)]
+    lengths = 1.1 * average
+    lengths[arms], lengths[legs] = 0.9 * average[arms], np.nan
+    body = measured_body(KINECT_V1, lengths)
+    np.testing.assert_allclose(body.lengths[legs], 0.9 * average[legs])
+    assert body.height == pytest.approx(0.9 * STANDARD_HEIGHT)
+
+
 @pytest.mark.parametrize("factor", [0.0, 0.3, 0.62, 1.61, 4.0])
 def test_an_odd_limb_takes_average_proportions(factor: float) -> None:
     elbows = [KINECT_V1.index(f"Elbow{side}") for side in ("Left", "Right")]

@@ -97,11 +97,11 @@ def main() -> None:
         takes = [one.take.at(slice(_FRAMES)) for one in recordings[::step]]
         found = np.array([list(errors(take, plain, trained)) for take in takes])
         shown = found.mean(axis=0).round(1).tolist()
-        out.print(person or "takes", len(takes), shown, soft_wrap=True)
+        out.print(f"{person or 'takes'} {len(takes)} {shown}", soft_wrap=True)
         rows.append(found.mean(axis=0))
     for limb, figures in zip(LIMBS, np.mean(rows, axis=0), strict=True):
         shown = figures.round(1).tolist()
-        out.print(limb, "hanging, without networks, with [cm]:", shown)
+        out.print(limb, "hanging, without networks, with, cm:", shown)
 
 
 if __name__ == "__main__":
