@@ -7,5 +7,3 @@ whatever the number of takes. The limits to scaling are the store, and the one p
 that plans the jobs and writes the manifest. ``tests/batch_figures.py`` measures this;
 ``tests/batch_faults.py`` kills runs and workers.
 """
-
-__all__: list[str] = []

@@ -76,7 +76,9 @@ _SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 # all CMU mocap, all other takes, or all people with two sensors.
 _UNSEEN_NOISE = 0.3
 _UNSEEN_SHRINKAGE = {"arm": 0.7, "forearm": 1.0, "leg": 0.85, "shin": 0.7}
-_SHARE_OF_PAIRS = 0.15  # for arms; with all, everyone would do the exercises in pairs
+# Share of the frames of pairs that unseen arms are learned from: with all of them, the
+# unseen arms of any take do the few exercises of the pairs.
+_SHARE_OF_PAIRS = 0.15
 _SMALL = 0.02  # m: smaller errors count as their squares, as in the pseudo-Huber loss
 _LARGE = 0.06  # m: error for which the loss is about one; the penalty is relative to it
 _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
@@ -119,8 +121,8 @@ class Recording(NamedTuple):
     @classmethod
     def of(cls, pair: PairedTake) -> Recording:
         """Return the Kinect take of a pair."""
-        clip = pair.clip, pair.take, _SHARE_OF_PAIRS
-        return cls(pair.subject, pair.movement, *clip)
+        names = pair.subject, pair.movement, pair.clip
+        return cls(*names, pair.take, _SHARE_OF_PAIRS)
 
 
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
@@ -165,7 +167,7 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
 def _unseen_rows(
     seen: BridgedMotion, share: float, rng: np.random.Generator
 ) -> Iterator[Lessons]:
-    """Yield training data in which a limb was never seen; the opposite one as often."""
+    """Yield training data of unseen limbs; half of it without the opposite one, too."""
     skeleton, heights = seen.skeleton, seen.heading.root[:, 1]
     count, parents = len(heights), list(skeleton.parents)
     most = min(max(_FEWEST, count // _FRAMES_PER_STRETCH), _MOST, count)

@@ -56,7 +56,7 @@ class MotionPrior:
 
     ``networks`` holds, under the names that ``network_name`` gives, the mean of the
     inputs, shape (F,), and the weights and biases of the layers. Without networks every
-    limb continues its previous motion.
+    hidden limb continues its previous motion, and unseen ones are left to the method.
     """
 
     def __init__(self, networks: Mapping[str, tuple[Array, Network]]) -> None:
