@@ -12,6 +12,8 @@ from __future__ import annotations
 import sys
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -45,9 +47,9 @@ from kinefilter.pipeline.reconstruct.prior import (
     network_name,
     part_of,
     posture_inputs,
+    standing_height,
 )
 from kinefilter.pipeline.reconstruct.stage import hidden_joints
-from kinefilter.pipeline.reconstruct.unseen import standing_height
 from kinefilter.pipeline.reconstruct.windows import (
     BridgedMotion,
     Limb,
@@ -155,13 +157,28 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
             around = slice(start - _CONTEXT, start + length + _CONTEXT)
             joined = seen.joined[around][1:].all()
             if joined and known[around].mean(axis=0).min() > _VISIBLE:
-                for mode in (mode for mode in modes if mode != "unseen"):
-                    starts, ahead = np.array([start]), mode == "between"
-                    stretch = Stretches(seen, one, starts, length, at[None], ahead)
-                    parts.append(_rows(stretch))
+                stretch = Stretches(
+                    seen, one, np.array([start]), length, at[None], True
+                )
+                parts.extend(_hidden_rows(stretch, modes))
     if "unseen" in modes:
         parts.extend(_unseen_rows(seen, recording.share, rng))
     return Lesson(recording.person, recording.movement, _concatenated(parts))
+
+
+def _hidden_rows(stretch: Stretches, modes: Sequence[Mode]) -> Iterator[Lessons]:
+    """Yield training data of a limb in a stretch, with time forward and backward.
+
+    People move backward in time much as they do forward: with both, networks erred 1 to
+    4 % less for people, and takes of other sensors, that they were not trained on.
+    """
+    seen, length = stretch.seen, stretch.length
+    starts = len(seen.positions) - stretch.starts - length
+    at = length - 1 - stretch.at[:, ::-1]
+    back = replace(stretch, seen=seen.backward(), starts=starts, at=at)
+    for one, mode in product((stretch, back), modes):
+        if mode != "unseen":
+            yield _rows(replace(one, ahead=mode == "between"))
 
 
 def _unseen_rows(
@@ -237,9 +254,11 @@ def _concatenated(parts: Iterable[Lessons]) -> Lessons:
     }
 
 
-def train_prior(lessons: Lessons) -> MotionPrior:
-    """Train a network on each set of training data."""
-    return MotionPrior({name: _network(name, rows) for name, rows in lessons.items()})
+def train_prior(lessons: Lessons, executor: Executor | None = None) -> MotionPrior:
+    """Train a network on each set of training data, at the same time by an executor."""
+    each = map if executor is None else executor.map
+    networks = each(_network, lessons, lessons.values())
+    return MotionPrior(dict(zip(lessons, networks, strict=True)))
 
 
 def _network(name: str, rows: Rows) -> tuple[Array, Network]:
@@ -326,8 +345,9 @@ def read_lessons(
 
 
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:
-    """Train a prior on clips, for gaps after which the limb is visible again."""
-    return train_prior(joined(lesson_of(Recording.of(p), ("between",)) for p in pairs))
+    """Train a prior on clips."""
+    modes = get_args(Mode)
+    return train_prior(joined(lesson_of(Recording.of(pair), modes) for pair in pairs))
 
 
 def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:
@@ -370,16 +390,18 @@ def main(out: Path, files: Sequence[str]) -> None:
     """Train on recordings, write the weights, and print ``relative_errors``."""
     recordings = [r for file in files for r in recordings_in(Path(file))]
     lessons = read_lessons(recordings, get_args(Mode))
-    write_arrays(out, train_prior(joined(lessons)).arrays())
     pairs = [Path(file) for file in files if file.endswith(".npz")]
     people = sorted({one.person for file in pairs for one in recordings_in(file)})
     movements = sorted({one.movement for one in lessons if one.person in people})
     thirds = [set(movements[k::3]) for k in range(3)]
-    for names in (*({person} for person in people), *thirds):
-        left_out = [one for one in lessons if names & {one.person, one.movement}]
-        others = [one for one in lessons if not names & {one.person, one.movement}]
-        percent = relative_errors(train_prior(joined(others)), joined(left_out))
-        print(", ".join(sorted(names)), percent, flush=True)
+    with workers() as pool:
+        write_arrays(out, train_prior(joined(lessons), pool).arrays())
+        for names in (*({person} for person in people), *thirds):
+            left_out = [one for one in lessons if names & {one.person, one.movement}]
+            others = [one for one in lessons if not names & {one.person, one.movement}]
+            prior = train_prior(joined(others), pool)
+            percent = relative_errors(prior, joined(left_out))
+            print(", ".join(sorted(names)), percent, flush=True)
 
 
 if __name__ == "__main__":

@@ -24,12 +24,13 @@ from .foothold import middle_joint, planted_height
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior
 from .recall import SHORTEST, learn
-from .windows import BridgedMotion, Limb, Stretches, describe
+from .windows import BridgedMotion, Descriptions, Limb, Stretches, describe
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends
 _BELIEVED = 2.0  # s from the nearer end of a gap, beyond which inferred joints fade in
-_LONGEST = 10.0  # s: longer gaps are only bridged
+_QUERIES = 12  # frames of a gap for which the take's most similar ones are kept
+_AT_ONCE = 3000  # frames of a gap that are filled at once, which bounds the memory
 
 
 def fill_hidden(
@@ -52,8 +53,14 @@ def fill_hidden(
     seen = bridged_motion(
         time, np.where(hidden[..., None], np.nan, positions), skeleton
     )
+    prior = prior or default_prior()
     for gap, limb in _gaps(seen, hidden):
-        _fill_limb(seen, gap, limb, prior or default_prior())
+        _fill_limb(seen, gap, limb, prior)
+    # A limb that is not seen until later comes from where it is seen first.
+    backward = seen.backward()
+    for gap, limb in _gaps(backward, hidden[::-1]):
+        if not _ahead(backward, gap):
+            _fill_limb(backward, gap, limb, prior)
     for joints in limbs(skeleton):
         _place_middle(seen, hidden, joints)
     filled = seen.heading.restore(seen.positions)
@@ -148,21 +155,30 @@ def _gaps(seen: BridgedMotion, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
                 yield gap, limb
 
 
+def _ahead(seen: BridgedMotion, gap: slice) -> bool:
+    """Return True if the motion goes on after a gap."""
+    return gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
+
+
 def _fill_limb(seen: BridgedMotion, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     """Fill a gap of a limb in ``seen``, in place."""
-    length = gap.stop - gap.start
-    if length > _LONGEST * seen.rate:
-        return
-    ahead = gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
-    start, at = np.array([gap.start]), np.arange(length)[None]
+    length, ahead = gap.stop - gap.start, _ahead(seen, gap)
     long = length > SHORTEST * seen.rate
-    stretch = Stretches(seen, limb, start, length, at, ahead)
-    found = prior.describe(stretch) if long else describe(stretch)
-    directions, features = found.base[0], found.features[0]
+
+    def described(frames: slice) -> Descriptions:
+        start, at = np.array([gap.start]), np.arange(length)[None, frames]
+        stretch = Stretches(seen, limb, start, length, at, ahead)
+        return prior.describe(stretch) if long else describe(stretch)
+
+    recall = None
     if long:
-        recall = learn(seen, limb, length, features, prior, ahead=ahead, gap=gap.start)
-        if recall is not None:
-            directions = recall(found)[0]
+        some = described(slice(None, None, max(length // _QUERIES, 1))).features[0]
+        recall = learn(seen, limb, length, some, prior, ahead=ahead, gap=gap.start)
+    parts = []
+    for first in range(0, length, _AT_ONCE):
+        found = described(slice(first, first + _AT_ONCE))
+        parts.append((recall(found) if recall is not None else found.base)[0])
+    directions = np.concatenate(parts)
     before = seen.directions[gap].copy()
     for k, j in enumerate(limb.hidden):
         gone = ~seen.known[gap, j]

@@ -68,7 +68,7 @@ def limb_of(
     visible = tuple(
         j
         for j in skeleton.segments.tolist()
-        if j not in joints[1:]
+        if j not in gone
         and known[j] >= _MOSTLY_SEEN
         and not skeleton.joints[j].startswith(_TIPS)
     )

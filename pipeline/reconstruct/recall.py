@@ -91,7 +91,7 @@ def learn(
 
     The gap begins with the frame ``gap`` and has ``length`` frames; ``ahead`` is True
     if the motion after it is known. Of many samples, those most similar to ``queries``,
-    the features of the gap's frames (M, F), are kept; None keeps an even selection.
+    the features of some of its frames (M, F), are kept; None keeps an even selection.
     Without ``gap``, the whole take is used instead of the minutes around it. The result
     adds to the ``prior``.
     """
@@ -130,8 +130,7 @@ def learn(
     count = len(columns[0])
     near = np.arange(count)[:: -(-count // _KEPT)]
     if queries is not None and count > _KEPT:
-        some = queries[:: max(len(queries) // 12, 1)]
-        distance = _squares(some, columns[0]).min(axis=0)
+        distance = _squares(queries, columns[0]).min(axis=0)
         near = np.argsort(distance, kind="stable")[:_KEPT]
     features, moving, targets, begins, ends = (column[near] for column in columns)
     doubt = len(near) * _DOUBT**2

@@ -17,16 +17,10 @@ from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.heading_frame import find_yaw
 
 from .limbs import in_limbs, limbs
-from .prior import MotionPrior
+from .prior import MotionPrior, standing_height
 
 _SMOOTHED = 0.2  # s: standard deviation of the filter over predicted directions. Chosen
 # on s02, s03, s04 and a quarter of the other people.
-_STANDING = 95.0  # percentile of the root's height that counts as standing. A guess.
-
-
-def standing_height(heights: Array) -> float:
-    """Return the height of the root [m] of a standing person, given many, (T,)."""
-    return float(np.percentile(heights, _STANDING))
 
 
 def point_unseen(

@@ -67,6 +67,15 @@ class BridgedMotion:
     floor: float
     """Height of a planted ankle [m]."""
 
+    def backward(self) -> BridgedMotion:
+        """Return a view of the motion in which time runs backward."""
+        heading = HeadingFrame(self.heading.root[::-1], self.heading.yaw[::-1])
+        arrays = (a[::-1] for a in (self.positions, self.directions, self.known))
+        # A frame's flag says how it follows the one before it.
+        flags = (np.roll(a[::-1], 1) for a in (self.joined, self.breaks))
+        fixed = (self.lengths, self.floor)
+        return BridgedMotion(self.skeleton, self.rate, heading, *arrays, *flags, *fixed)
+
     def bones(self, segments: tuple[int, ...], frames: Indices) -> Array:
         """Return segments as vectors [m] in frames (...), shape (..., 3 S)."""
         positions = self.positions[frames]
@@ -115,6 +124,15 @@ class Stretches:
         share = ((self.at + 1.0) / (self.length + 1.0))[..., None]
         return before + share * (later - before) if self.ahead else before
 
+    def root_change(self) -> Array:
+        """Return the root's way from where the limb was seen last [m], (W, M, 3).
+
+        If the motion after the stretch is known, it is relative to the straight line
+        between both ends.
+        """
+        root = self.seen.heading.root
+        return root[self.frames] - self.between(root[self.last], root[self.after])
+
 
 @dataclass(frozen=True, eq=False)
 class Descriptions:
@@ -141,10 +159,8 @@ def describe(hidden: Stretches) -> Descriptions:
         return _flat(seen.directions[which][..., list(limb.hidden), :])
 
     change, velocity, bones = visible_motion(hidden, limb.visible)
-    roots = seen.heading.root
-    moved = roots[frames] - hidden.between(roots[last], roots[after])
     unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
-    root = unmoved.remove(moved[..., None, :])[..., 0, :]
+    root = unmoved.remove(hidden.root_change()[..., None, :])[..., 0, :]
     per_second = seen.rate / SPEED_FRAMES
     end = pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
