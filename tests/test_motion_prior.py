@@ -24,7 +24,11 @@ from kinefilter.pipeline.lab.simulation import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
-from kinefilter.pipeline.reconstruct.prior import default_prior, inputs_of
+from kinefilter.pipeline.reconstruct.prior import (
+    default_prior,
+    inputs_of,
+    standing_height,
+)
 from kinefilter.pipeline.reconstruct.windows import (
     BridgedMotion,
     Limb,
@@ -38,9 +42,9 @@ AT = np.arange(LENGTH)[None]
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-def moving(skeleton: Skeleton, seed: int) -> BridgedMotion:
+def moving(skeleton: Skeleton, seed: int, count: int = 80) -> BridgedMotion:
     """Return somebody every joint of whom goes to and fro by itself."""
-    rng, count = np.random.default_rng(seed), 80
+    rng = np.random.default_rng(seed)
     time = np.arange(count) / 30.0
     phase, rate, far = rng.uniform(0.0, 6.0, (3, len(skeleton), 3))
     swing = 0.01 * far * np.sin(rate * time[:, None, None] + phase)
@@ -112,6 +116,43 @@ def test_what_is_hidden_as_well_does_not_count() -> None:
     seen.positions[inside, list(limbs(KINECT_V1)[2][1:])] += 0.3
     np.testing.assert_allclose(told(arms), before, atol=1e-9)
     assert np.abs(told(hidden(seen, 0)) - alone).max() > 0.1
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["forearm", "shin"])
+def test_the_upper_part_of_a_limb_counts_when_it_is_seen(which: int) -> None:
+    seen, joints = moving(KINECT_V1, seed=5), limbs(KINECT_V1)[which]
+    known = np.ones(len(KINECT_V1))
+    known[joints[2]] = 0.0
+    limb = limb_of(KINECT_V1, joints, known)
+    assert limb is not None
+    assert limb.hidden == joints[2:]
+
+    def told() -> Array:
+        hiding = stretch(seen, limb, ahead=True)
+        return inputs_of(hiding, describe(hiding))
+
+    before = told()
+    inside = slice(int(START[0]), int(START[0]) + LENGTH)
+    seen.positions[inside, joints[1]] += 0.3
+    assert np.abs(told() - before).max() > 0.1
+
+
+def test_a_limb_hidden_for_long_is_where_its_posture_has_it() -> None:
+    """The legs of a person who stays excepted: they stand where they stood."""
+    seen, prior, last = moving(KINECT_V1, seed=6, count=1900), default_prior(), 1890
+    bones = seen.positions - seen.positions[:, list(KINECT_V1.parents)]
+    without = MotionPrior({k: n for k, n in prior.networks.items() if "before" in k})
+    for which, alike in ((0, True), (1, False)):
+        limb = hidden(seen, which)
+        at = np.array([[last - int(START[0])]])
+        hiding = Stretches(seen, limb, START, 1875, at, ahead=False)
+        shown = bones[last].copy()
+        shown[list(limb.hidden)] = np.nan
+        lower = seen.heading.root[last, 1] - standing_height(seen.heading.root[:, 1])
+        likely = prior.unseen(KINECT_V1, limb.hidden, shown, np.asarray(lower))
+        base = prior.describe(hiding).base[0, 0]
+        assert np.allclose(base, likely, atol=1e-6) == alike
+        assert np.allclose(base, without.describe(hiding).base, atol=1e-3) != alike
 
 
 def test_the_error_of_joints_has_the_gradient_of_its_differences() -> None:

@@ -172,7 +172,7 @@ def _folds(
         read = [one for file in recordings for one in recordings_in(file)]
         read += map(Recording.of, pairs)
         mode: Mode = "before" if options.live else "between"
-        lessons = read_lessons(over(read, "read", progress), (mode,))
+        lessons = read_lessons(over(read, "read", progress), (mode, "unseen"))
     for person in people:
         own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not own:
@@ -185,7 +185,10 @@ def _folds(
             progress=progress,
         )
         others = joined(lesson for lesson in lessons if lesson.person != person)
-        prior = train_prior(others) if recordings else None
+        prior = None
+        if recordings:
+            with workers() as pool:
+                prior = train_prior(others, pool)
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
         yield own, [_Trained(*each, prior) for each in ready]

@@ -11,7 +11,7 @@ import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from scipy.optimize import minimize
@@ -24,6 +24,7 @@ from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.reconstruct import MotionPrior
+from kinefilter.pipeline.reconstruct.prior import Mode
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.uncertainty import (
     HIDDEN,
@@ -39,7 +40,13 @@ from .accuracy import within_uncertainty
 from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
-from .limb_lessons import train_prior_on, with_prior
+from .limb_lessons import (
+    Recording,
+    joined,
+    read_lessons,
+    train_prior,
+    with_prior,
+)
 from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]
@@ -167,20 +174,24 @@ def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None
     }
 
 
-def _person(person: str, pairs: Sequence[PairedTake]) -> Rows:
+def _person(person: str, pairs: Sequence[PairedTake], prior: MotionPrior) -> Rows:
     """Return the training data of a person, by a corrector trained on the others."""
     others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
-    learned = teach("learned", training_set(others))
-    return lessons(learned, mine, prior=train_prior_on(others))
+    return lessons(teach("learned", training_set(others)), mine, prior=prior)
 
 
 def main(out: Path, files: Sequence[str]) -> None:
     """Train on pairs files, and write the weights."""
     pairs = [pair for file in files for pair in read_pairs(file)]
     people = sorted({pair.subject for pair in pairs})
+    taught = read_lessons(map(Recording.of, pairs), get_args(Mode))
     with workers() as pool:
-        jobs = [pool.submit(_person, person, pairs) for person in people]
+        jobs = []
+        for person in people:
+            of_others = joined(one for one in taught if one.person != person)
+            prior = train_prior(of_others, pool)
+            jobs.append(pool.submit(_person, person, pairs, prior))
         rows = [job.result() for job in jobs]
     for mine in rows:
         others = [row for row in rows if row is not mine]

@@ -6,7 +6,7 @@ was seen, from which ``recall`` learns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,12 +69,16 @@ class BridgedMotion:
 
     def backward(self) -> BridgedMotion:
         """Return a view of the motion in which time runs backward."""
-        heading = HeadingFrame(self.heading.root[::-1], self.heading.yaw[::-1])
-        arrays = (a[::-1] for a in (self.positions, self.directions, self.known))
-        # A frame's flag says how it follows the one before it.
-        flags = (np.roll(a[::-1], 1) for a in (self.joined, self.breaks))
-        fixed = (self.lengths, self.floor)
-        return BridgedMotion(self.skeleton, self.rate, heading, *arrays, *flags, *fixed)
+        return replace(
+            self,
+            heading=HeadingFrame(self.heading.root[::-1], self.heading.yaw[::-1]),
+            positions=self.positions[::-1],
+            directions=self.directions[::-1],
+            known=self.known[::-1],
+            # A frame's flag says how it follows the one before it.
+            joined=np.roll(self.joined[::-1], 1),
+            breaks=np.roll(self.breaks[::-1], 1),
+        )
 
     def bones(self, segments: tuple[int, ...], frames: Indices) -> Array:
         """Return segments as vectors [m] in frames (...), shape (..., 3 S)."""
