@@ -169,8 +169,8 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
 def _hidden_rows(stretch: Stretches, modes: Sequence[Mode]) -> Iterator[Lessons]:
     """Yield training data of a limb in a stretch, with time forward and backward.
 
-    People move backward in time much as they do forward: with both, networks erred 1 to
-    4 % less for people, and takes of other sensors, that they were not trained on.
+    People move backward in time much as they do forward. With both, networks erred some
+    2 % less for people and takes that they were not trained on.
     """
     seen, length = stretch.seen, stretch.length
     starts = len(seen.positions) - stretch.starts - length

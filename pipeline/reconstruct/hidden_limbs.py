@@ -1,7 +1,7 @@
 """Fills what the sensor did not see: each limb continues its own motion.
 
 A gap is bridged from both ends in the heading frame, a planted foot stays in place, and
-what the take itself shows of the limb's motion is added.
+what people mostly do and what the take itself shows of the limb's motion are added.
 """
 
 from __future__ import annotations
