@@ -157,9 +157,8 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
             around = slice(start - _CONTEXT, start + length + _CONTEXT)
             joined = seen.joined[around][1:].all()
             if joined and known[around].mean(axis=0).min() > _VISIBLE:
-                stretch = Stretches(
-                    seen, one, np.array([start]), length, at[None], True
-                )
+                starts, at = np.array([start]), at[None]
+                stretch = Stretches(seen, one, starts, length, at, ahead=True)
                 parts.extend(_hidden_rows(stretch, modes))
     if "unseen" in modes:
         parts.extend(_unseen_rows(seen, recording.share, rng))
