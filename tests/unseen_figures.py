@@ -141,7 +141,8 @@ def main() -> None:
         rows.append(found.mean(axis=0))
     for row, figures in zip(product(spans, LIMBS), np.mean(rows, axis=0), strict=True):
         shown = figures.round(1).tolist()
-        out.print(*row, "simple, without networks, with, cm:", shown)
+        text = "simple guess, without networks, with, cm:"
+        out.print(*row, text, shown, soft_wrap=True)
 
 
 if __name__ == "__main__":
