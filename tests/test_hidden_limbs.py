@@ -19,7 +19,8 @@ from kinefilter.pipeline.lab.hidden_limb_evaluation import (
     summarize,
 )
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
-from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, Recording, joined
+from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined
+from kinefilter.pipeline.lab.limb_recordings import Recording
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.retarget import HeadingFrame

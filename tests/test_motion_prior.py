@@ -13,13 +13,13 @@ from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.lab.limb_lessons import (
     Lesson,
-    Recording,
     joined,
     joint_error,
     read_lessons,
     relative_errors,
     train_prior,
 )
+from kinefilter.pipeline.lab.limb_recordings import Recording
 from kinefilter.pipeline.lab.simulation import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion

@@ -28,13 +28,12 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
 from kinefilter.pipeline.lab.limb_lessons import (
-    Recording,
     joined,
     read_lessons,
-    recordings_in,
     train_prior,
     with_prior,
 )
+from kinefilter.pipeline.lab.limb_recordings import Recording, recordings_in
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import HANGING, Mode
 from kinefilter.pipeline.workers import workers

@@ -35,15 +35,8 @@ from kinefilter.pipeline.workers import workers
 
 from .accuracy import LIMBS, within_uncertainty
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
-from .limb_lessons import (
-    Lesson,
-    Recording,
-    joined,
-    read_lessons,
-    recordings_in,
-    train_prior,
-    with_prior,
-)
+from .limb_lessons import Lesson, joined, read_lessons, train_prior, with_prior
+from .limb_recordings import Recording, recordings_in
 from .systems import CorrectorFactory, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]

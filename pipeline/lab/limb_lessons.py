@@ -23,16 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neural_network import MLPRegressor
 
-from kinefilter.characters import KINECT_V1, State, Take, standard_body
+from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.npz import write_arrays
-from kinefilter.pipeline.formats.takes import read_take
-from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
 from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
@@ -58,7 +56,7 @@ from kinefilter.pipeline.reconstruct.windows import (
 )
 from kinefilter.pipeline.workers import workers
 
-from .database_build import mocap_body, whole_frames
+from .limb_recordings import Recording, recordings_in
 
 _SHORTEST, _LONGEST = 0.4, 4.0  # s for which a limb is hidden
 _CONTEXT = 6  # frames before and after a stretch in which the limb is visible
@@ -66,8 +64,6 @@ _SAMPLES = 6  # frames per stretch
 _FEWEST, _MOST, _FRAMES_PER_STRETCH = 8, 240, 10  # stretches of a take
 _VISIBLE = 0.97  # share of a stretch's frames in which each segment must be visible
 _OPPOSITE_VISIBLE = 0.8  # share of the stretches with a visible opposite limb
-_JITTER = 0.008  # m, added to mocap, which jitters less than a sensor. A guess.
-_MOCAP_RATE = 30.0  # Hz
 # Chosen on s02, s03, s04, two thirds of their movements, and a quarter of the others.
 _LAYERS, _PENALTY, _EPOCHS, _BATCH = (128, 64), 0.25, 20, 512
 _AVERAGED = 10  # last epochs, whose weights are averaged
@@ -78,9 +74,6 @@ _SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 # all CMU mocap, all other takes, or all people with two sensors.
 _UNSEEN_NOISE = 0.3
 _UNSEEN_SHRINKAGE = {"arm": 0.7, "forearm": 1.0, "leg": 0.85, "shin": 0.7}
-# Share of the frames of pairs that unseen arms are learned from: with all of them, the
-# unseen arms of any take do the few exercises of the pairs.
-_SHARE_OF_PAIRS = 0.15
 _SMALL = 0.02  # m: smaller errors count as their squares, as in the pseudo-Huber loss
 _LARGE = 0.06  # m: error for which the loss is about one; the penalty is relative to it
 _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
@@ -108,23 +101,6 @@ class Lesson(NamedTuple):
     person: str
     movement: str
     rows: Lessons
-
-
-class Recording(NamedTuple):
-    """A take with the names of the person, movement and clip."""
-
-    person: str
-    movement: str
-    name: str
-    take: Take
-    share: float = 1.0
-    """Share of its frames to learn unseen arms from."""
-
-    @classmethod
-    def of(cls, pair: PairedTake) -> Recording:
-        """Return the Kinect take of a pair."""
-        names = pair.subject, pair.movement, pair.clip
-        return cls(*names, pair.take, _SHARE_OF_PAIRS)
 
 
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
@@ -323,17 +299,6 @@ def joint_error(
     return loss.sum(axis=(1, 2)) / scale, gradient.reshape(outputs.shape)
 
 
-def recordings_in(file: Path) -> Iterator[Recording]:
-    """Yield the recordings in a pairs file (.npz), mocap (.bvh) or a take."""
-    name = file.name.partition(".")[0]
-    if file.suffix == ".npz":
-        yield from map(Recording.of, read_pairs(file))
-    else:
-        is_mocap = ".bvh" in file.suffixes
-        take = _take_of_mocap(file, name) if is_mocap else read_take(file)
-        yield Recording(name, name, name, take)
-
-
 def read_lessons(
     recordings: Iterable[Recording], modes: Sequence[Mode]
 ) -> list[Lesson]:
@@ -354,22 +319,6 @@ def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cle
     if all(stage.name != Reconstruct.name for stage in cleaner.stages):
         return cleaner
     return cleaner.replaced(Reconstruct(config, prior))
-
-
-def _take_of_mocap(file: Path, name: str) -> Take:
-    """Return mocap as a take of a sensor with jitter."""
-    mocap = read_mocap(file, [])
-    positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
-    meters, _ = mocap_body(positions, KINECT_V1)
-    step = max(1, round(1.0 / (_MOCAP_RATE * mocap.frame_time)))
-    # The first frame is skipped, because it often is a T-pose.
-    frames = np.flatnonzero(whole_frames(positions))[1::step]
-    positions = meters * positions[frames]
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
-    positions += rng.normal(scale=_JITTER, size=positions.shape)
-    time = np.arange(float(len(positions))) * step * mocap.frame_time
-    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    return Take(time, positions, state, KINECT_V1, str(file))
 
 
 def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:

@@ -40,13 +40,8 @@ from .accuracy import within_uncertainty
 from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN as LIMBS
 from .limb_guesses import Guess, hide
-from .limb_lessons import (
-    Recording,
-    joined,
-    read_lessons,
-    train_prior,
-    with_prior,
-)
+from .limb_lessons import joined, read_lessons, train_prior, with_prior
+from .limb_recordings import Recording
 from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]
