@@ -33,19 +33,20 @@ def planted_likelihood(ankle: Array, rate: float, floor: float) -> Array:
 
 
 def held_ankle(
-    last: Array, after: Array | None, was_planted: Array, is_planted: Array, time: Array
+    last: Array, after: Array | None, planted: list[Array], time: Array
 ) -> tuple[Array, Array]:
     """Return where a hidden ankle is held [m], and how firmly, in [0, 1].
 
     ``last`` and ``after`` (None if unknown) are its positions before and after the gap
-    [m], world frame, shape (..., 1, 3); ``was_planted`` and ``is_planted`` (..., 1) are
-    the likelihoods that it is planted there. ``time`` (2, ..., N) holds the times since
-    it was seen and until it is next seen [s].
+    [m], world frame, shape (..., 1, 3); ``planted`` are the likelihoods that it is
+    planted there, (..., 1) each. ``time`` (2, ..., N) holds the times since it was seen
+    and until it is next seen [s].
     """
     since, until = time
     if after is None:
         held = np.broadcast_to(last, (*since.shape, 3))
-        return held, was_planted * np.ones_like(since)
+        return held, planted[0] * np.ones_like(since)
+    was_planted, is_planted = planted
     way = after - last
     near = np.exp(-((np.linalg.norm(way, axis=-1) / _NEAR) ** 2))
     share = (since / (since + until))[..., None]

@@ -22,7 +22,7 @@ from kinefilter.retarget.stance import smooth_step
 from .continuity import bridge
 from .foothold import middle_joint, planted_height
 from .limbs import limb_of, limbs, with_tips
-from .prior import MotionPrior, default_prior
+from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
 from .windows import BridgedMotion, Descriptions, Limb, Stretches, describe
 
@@ -128,7 +128,8 @@ def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> Bridged
     joined, breaks = steps < max(PAUSE, 1.5 / rate), steps >= _BREAK
     joined[0] = False
     arrays = (placed, directions, known, joined, breaks, lengths)
-    return BridgedMotion(skeleton, rate, heading, *arrays, floor)
+    standing = standing_height(root[:, 1])
+    return BridgedMotion(skeleton, rate, heading, *arrays, floor, standing)
 
 
 def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -> Array:

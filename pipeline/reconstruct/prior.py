@@ -124,20 +124,19 @@ class MotionPrior:
         if likely is not None:
             share = 1.0 - np.exp(-near / _FORGOTTEN[hidden.ahead])
             if hidden.limb.leg is not None:  # whoever stays stands where they stood
-                moved = np.linalg.norm(hidden.root_change()[..., [0, 2]], axis=-1)
+                moved = np.linalg.norm(hidden.root_change[..., [0, 2]], axis=-1)
                 share *= 1.0 - np.exp(-((moved / _STAYS) ** 2))
             base = unit(base + share[..., None, None] * (likely - base))
         return replace(found, base=base)
 
     def _likely(self, hidden: Stretches) -> Array | None:
         """Return directions for the posture alone, as ``unseen`` does, (W, M, H, 3)."""
-        seen, limb, frames = hidden.seen, hidden.limb, hidden.frames
-        bones = np.full((*frames.shape, len(seen.skeleton), 3), np.nan)
-        visible = seen.bones(limb.visible, frames)
-        bones[..., list(limb.visible), :] = visible.reshape(*frames.shape, -1, 3)
-        heights = seen.heading.root[:, 1]
-        lower = heights[frames] - standing_height(heights)
-        return self.unseen(seen.skeleton, limb.hidden, bones, lower)
+        seen, visible = hidden.seen, list(hidden.limb.visible)
+        vectors = hidden.motion[2]
+        bones = np.full(vectors.shape, np.nan)
+        bones[..., visible, :] = vectors[..., visible, :]
+        lower = seen.heading.root[hidden.frames, 1] - seen.standing
+        return self.unseen(seen.skeleton, hidden.limb.hidden, bones, lower)
 
     def unseen(
         self, skeleton: Skeleton, hidden: Segments, bones: Array, lower: Array
@@ -174,6 +173,7 @@ def network_name(part: str, mode: Mode) -> str:
     return f"{part}_{mode}"
 
 
+@cache
 def part_of(skeleton: Skeleton, hidden: Segments) -> tuple[str, bool]:
     """Return the hidden part out of PARTS, "" for none, and True for a right limb."""
     names = [skeleton.joints[j] for j in hidden]
@@ -226,6 +226,7 @@ def posture_inputs(
     return np.concatenate([flat, lower[..., None] / _LOWER], axis=-1)
 
 
+@cache
 def _rest_of_body(skeleton: Skeleton, hidden: Segments) -> tuple[Segments, bool]:
     """Return the segments that are inputs, and True if they are mirror images."""
     _, mirrored = part_of(skeleton, hidden)

@@ -9,10 +9,12 @@ helped in stretches that it did not learn from.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from threadpoolctl import ThreadpoolController
 
 from kinefilter.characters.arrays import Array, Indices, runs
 from kinefilter.characters.rotations import unit
@@ -34,6 +36,12 @@ _DOUBT = 0.1  # departure of a direction against which that share is weighed
 _BLUR = 0.2  # s: shorter holes in the frames that are seen are ignored
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries of linear algebra; finding them takes milliseconds."""
+    return ThreadpoolController()
+
+
 @dataclass(frozen=True, eq=False)
 class Process:
     """A Gaussian process on features, with unit length scales and amplitude."""
@@ -53,9 +61,18 @@ class Process:
     def predict(self, features: Array) -> Array:
         """Return the mean times one minus the variance, shape (N, C)."""
         kernel = _kernel(features, self.features)
-        variance = 1.0 - np.sum(kernel.T * cho_solve(self.factor, kernel.T), axis=0)
+        if len(kernel) == 1:  # a frame of live motion
+            solved = kernel @ self._inverse
+        else:
+            solved = cho_solve(self.factor, kernel.T).T
+        variance = 1.0 - np.sum(kernel * solved, axis=1)
         certainty = 1.0 - np.clip(variance, 0.0, 1.0)
         return np.asarray(certainty[:, None] * (kernel @ self.weights))
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """The inverse of the kernel matrix, made once for many single frames."""
+        return np.asarray(cho_solve(self.factor, np.eye(len(self.features))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +154,10 @@ def learn(
     kept = float(np.sum(moving * targets)) + _MOMENTUM * doubt
     momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving
-    weight = _weight(features, targets, begins, ends)
-    process = Process.of(features, targets) if weight > 0.0 else None
+    # With two threads, a matrix this small can take half a second on a busy machine.
+    with _libraries().limit(limits=1, user_api="blas"):
+        weight = _weight(features, targets, begins, ends)
+        process = Process.of(features, targets) if weight > 0.0 else None
     return Recall(process, weight, momentum)
 
 

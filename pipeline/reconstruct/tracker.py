@@ -39,6 +39,7 @@ class _Gap:
     start: int
     time: float
     floor: float
+    standing: float
     recall: Recall | None = None
     learned: float | None = None
 
@@ -163,8 +164,10 @@ class HiddenLimbTracker:
             since = (k, time) if gap is None else (gap.start, gap.time)
             ankles = [ends[2] for ends in self._limbs[1::2]]
             heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
-            gap = self._gaps[key] = _Gap(limb, *since, planted_height(heights))
-        seen = self._motion_so_far(k + 1, gap.floor)
+            standing = standing_height(self._root[: k + 1, 1])
+            gap = _Gap(limb, *since, planted_height(heights), standing)
+            self._gaps[key] = gap
+        seen = self._motion_so_far(k + 1, gap)
         start, at = np.array([gap.start]), np.array([[k - gap.start]])
         stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
         found = self._prior.describe(stretch)
@@ -184,16 +187,15 @@ class HiddenLimbTracker:
                 if not self._known[k, j]:
                     directions[j] = rotate(turn, before[j])
 
-    def _motion_so_far(self, count: int, floor: float) -> BridgedMotion:
+    def _motion_so_far(self, count: int, gap: _Gap) -> BridgedMotion:
         skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
         positions, directions = self._positions[:count], self._directions[:count]
         flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
-        return BridgedMotion(
-            skeleton, rate, heading, positions, directions, *flags, lengths, floor
-        )
+        arrays = (positions, directions, *flags, lengths)
+        return BridgedMotion(skeleton, rate, heading, *arrays, gap.floor, gap.standing)
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""

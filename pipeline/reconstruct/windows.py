@@ -7,6 +7,7 @@ was seen, from which ``recall`` learns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,6 +67,8 @@ class BridgedMotion:
     """Segment lengths [m], NaN for those never seen, shape (J,)."""
     floor: float
     """Height of a planted ankle [m]."""
+    standing: float
+    """Height of the root of the person when standing [m]."""
 
     def backward(self) -> BridgedMotion:
         """Return a view of the motion in which time runs backward."""
@@ -80,11 +83,10 @@ class BridgedMotion:
             breaks=np.roll(self.breaks[::-1], 1),
         )
 
-    def bones(self, segments: tuple[int, ...], frames: Indices) -> Array:
-        """Return segments as vectors [m] in frames (...), shape (..., 3 S)."""
+    def bones(self, frames: Indices) -> Array:
+        """Return all segments as vectors [m] in frames (...), shape (..., 3 J)."""
         positions = self.positions[frames]
-        parents = [self.skeleton.parents[j] for j in segments]
-        return _flat(positions[..., list(segments), :] - positions[..., parents, :])
+        return _flat(positions - positions[..., self.skeleton.parents, :])
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,23 +104,23 @@ class Stretches:
     ahead: bool
     """True if the motion after the stretch is known."""
 
-    @property
+    @cached_property
     def frames(self) -> Indices:
         """Frames of the motion to describe, shape (W, M)."""
         return self.starts[:, None] + self.at
 
-    @property
+    @cached_property
     def last(self) -> Indices:
         """Last frame before each stretch, shape (W, 1)."""
         return self.starts[:, None] - 1
 
-    @property
+    @cached_property
     def after(self) -> Indices:
         """First frame after each stretch, or the motion's last one, shape (W, 1)."""
         end = self.starts[:, None] + self.length
         return np.minimum(end, len(self.seen.positions) - 1)
 
-    @property
+    @cached_property
     def time(self) -> Array:
         """Times since the limb was seen and until it is next [s], shape (2, W, M)."""
         return np.stack([self.at + 1.0, self.length - self.at + 0.0]) / self.seen.rate
@@ -128,14 +130,37 @@ class Stretches:
         share = ((self.at + 1.0) / (self.length + 1.0))[..., None]
         return before + share * (later - before) if self.ahead else before
 
+    @cached_property
     def root_change(self) -> Array:
-        """Return the root's way from where the limb was seen last [m], (W, M, 3).
+        """The root's way from where the limb was seen last [m], shape (W, M, 3).
 
         If the motion after the stretch is known, it is relative to the straight line
         between both ends.
         """
         root = self.seen.heading.root
-        return root[self.frames] - self.between(root[self.last], root[self.after])
+        line = self.between(root[self.last], root[self.after])
+        return np.asarray(root[self.frames] - line)
+
+    @cached_property
+    def motion(self) -> tuple[Array, Array, Array]:
+        """Change [m], velocity [m/s] and vectors [m] of all segments, (W, M, J, 3).
+
+        The change is relative to when the limb was last seen, or to the straight line
+        between both ends of the stretch.
+        """
+        seen, frames = self.seen, self.frames
+        now, past = (seen.bones(k) for k in (frames, np.maximum(frames - 1, 0)))
+        line = seen.bones(self.last)
+        if self.ahead:
+            next_ = seen.bones(np.minimum(frames + 1, len(seen.positions) - 1))
+            line = self.between(line, seen.bones(self.after))
+            velocity = 0.5 * seen.rate * (next_ - past)
+        else:
+            velocity = seen.rate * (now - past)
+        change, velocity, now = (
+            v.reshape(*frames.shape, -1, 3) for v in (now - line, velocity, now)
+        )
+        return change, velocity, now
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +189,7 @@ def describe(hidden: Stretches) -> Descriptions:
 
     change, velocity, bones = visible_motion(hidden, limb.visible)
     unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
-    root = unmoved.remove(hidden.root_change()[..., None, :])[..., 0, :]
+    root = unmoved.remove(hidden.root_change[..., None, :])[..., 0, :]
     per_second = seen.rate / SPEED_FRAMES
     end = pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
@@ -210,17 +235,11 @@ def visible_motion(
 ) -> tuple[Array, Array, Array]:
     """Return change [m], velocity [m/s] and vectors [m] of segments, (W, M, 3 S).
 
-    The change is relative to when the limb was last seen, or to the straight line
-    between both ends of the stretch.
+    See ``Stretches.motion``.
     """
-    seen, frames = hidden.seen, hidden.frames
-    now, past = (seen.bones(segments, k) for k in (frames, np.maximum(frames - 1, 0)))
-    before = seen.bones(segments, hidden.last)
-    if not hidden.ahead:
-        return now - before, seen.rate * (now - past), now
-    following = seen.bones(segments, np.minimum(frames + 1, len(seen.positions) - 1))
-    line = hidden.between(before, seen.bones(segments, hidden.after))
-    return now - line, 0.5 * seen.rate * (following - past), now
+    chosen = list(segments)
+    change, velocity, vectors = (_flat(v[..., chosen, :]) for v in hidden.motion)
+    return change, velocity, vectors
 
 
 def _flat(values: Array) -> Array:
@@ -268,13 +287,13 @@ def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array
         place = seen.positions[which, ankle][..., None, :]
         return np.asarray(seen.heading.at(which).restore(place)[..., 0, :])
 
-    was_planted, is_planted = (
-        planted_likelihood(world(some), seen.rate, seen.floor)[:, None]
-        for some in (last + np.arange(1 - far, 1), after + np.arange(far))
-    )
+    ends = [last + np.arange(1 - far, 1)]
+    if hidden.ahead:
+        ends.append(after + np.arange(far))
+    planted = [planted_likelihood(world(e), seen.rate, seen.floor) for e in ends]
     seen_after = world(after) if hidden.ahead else None
     place, firm = held_ankle(
-        world(last), seen_after, was_planted, is_planted, hidden.time
+        world(last), seen_after, [p[:, None] for p in planted], hidden.time
     )
     place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
