@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from real_data import PAIRS, paired
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
@@ -135,6 +136,26 @@ def test_the_process_agrees_with_scikit_learn() -> None:
     mean, sigma = other.fit(features, targets).predict(queries, return_std=True)
     expected = mean * (1.0 - sigma[:, :1] ** 2)
     np.testing.assert_allclose(process.predict(queries), expected, atol=1e-9)
+    alone = process.predict(queries[:1])  # another way to the same
+    np.testing.assert_allclose(alone, expected[:1], atol=1e-9)
+
+
+def test_what_a_take_shows_is_learned_in_one_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[int] = []
+
+    def fit(features: Array, targets: Array) -> Process:
+        libraries = threadpool_info()
+        threads.extend(x["num_threads"] for x in libraries if x["user_api"] == "blas")
+        return of(features, targets)
+
+    of = Process.of
+    monkeypatch.setattr(Process, "of", fit)
+    positions = waving(300)
+    with threadpool_limits(2, "blas"):
+        filled(positions, hidden_in(300, ARM, slice(200, 240)))
+    assert set(threads) == {1}
 
 
 def test_a_take_without_hidden_joints_stays_as_it_is() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -121,15 +122,16 @@ def measure_hidden(
             f"a gap of {', '.join(options.gaps)}, with {_MARGIN} frames before and "
             f"after it, fits into no clip ({skipped} tried); give a shorter --gap"
         )
-    jobs = (
-        (fold[k : k + _TAKES_PER_JOB], trained, options)
-        for fold, ready in _folds(systems, cases, pairs, recordings, options, progress)
-        for k in range(0, len(fold), _TAKES_PER_JOB)
-        for trained in ready
-    )
-    if len(cases) <= _TAKES_PER_JOB:
-        return [record for job in jobs for record in _measure(*job)], skipped
     with workers() as pool:
+        folds = _folds(systems, cases, pairs, recordings, options, pool, progress)
+        jobs = (
+            (fold[k : k + _TAKES_PER_JOB], trained, options)
+            for fold, ready in folds
+            for k in range(0, len(fold), _TAKES_PER_JOB)
+            for trained in ready
+        )
+        if len(cases) <= _TAKES_PER_JOB:
+            return [record for job in jobs for record in _measure(*job)], skipped
         waiting = [pool.submit(_measure, *job) for job in jobs]
         done = [job.result() for job in over(waiting, "hide and clean", progress)]
     return [record for records in done for record in records], skipped
@@ -149,6 +151,7 @@ def _folds(
     pairs: Sequence[PairedTake],
     recordings: Sequence[Path],
     options: HiddenLimbs,
+    pool: Executor,
     progress: Progress,
 ) -> Iterator[tuple[list[Case], list[_Trained]]]:
     """Yield takes, and the systems that are to clean them."""
@@ -178,10 +181,7 @@ def _folds(
             progress=progress,
         )
         others = joined(lesson for lesson in lessons if lesson.person != person)
-        prior = None
-        if recordings:
-            with workers() as pool:
-                prior = train_prior(others, pool)
+        prior = train_prior(others, pool) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
         yield own, [_Trained(*each, prior) for each in ready]

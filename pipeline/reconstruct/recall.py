@@ -9,7 +9,7 @@ helped in stretches that it did not learn from.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -34,12 +34,7 @@ _FOLDS = 4  # parts of the take, each predicted from the others
 _MOMENTUM = 1.0  # share of its speed that a limb keeps, unless the take shows more
 _DOUBT = 0.1  # departure of a direction against which that share is weighed
 _BLUR = 0.2  # s: shorter holes in the frames that are seen are ignored
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return the libraries of linear algebra; finding them takes milliseconds."""
-    return ThreadpoolController()
+_ALGEBRA = ThreadpoolController()  # of numpy and scipy; to find it takes milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +150,7 @@ def learn(
     momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving
     # With two threads, a matrix this small can take half a second on a busy machine.
-    with _libraries().limit(limits=1, user_api="blas"):
+    with _ALGEBRA.limit(limits=1, user_api="blas"):
         weight = _weight(features, targets, begins, ends)
         process = Process.of(features, targets) if weight > 0.0 else None
     return Recall(process, weight, momentum)
