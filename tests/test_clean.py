@@ -309,9 +309,9 @@ def test_every_recorded_take_is_cleaned(path: Path, tmp_path: Path) -> None:
 
 
 @paired
-@pytest.mark.parametrize("person", ["s03", "s06", "s07", "s08"])
+@pytest.mark.parametrize("person", ["s06", "s08"])
 def test_correction_does_no_harm_to_real_people(person: str) -> None:
-    """Offset-free error against marker mocap; confidence was chosen on s03 and s07."""
+    """Offset-free error against marker mocap; confidence was chosen on others."""
     limbs = [
         KINECT_V1.index(part + side)
         for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")

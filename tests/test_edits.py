@@ -34,6 +34,11 @@ def pair() -> PairedTake:
     return simulate("basic", "wave", seed=5)
 
 
+@pytest.fixture(scope="module")
+def before(pair: PairedTake) -> CleanResult:
+    return clean(pair.take)
+
+
 def edited(folder: Path, text: str) -> Path:
     path = folder / "take.edits.toml"
     path.write_text(text, encoding="utf-8")
@@ -94,9 +99,8 @@ def test_a_limb_that_is_distrusted_goes_on_as_if_it_were_hidden(
     ],
 )
 def test_nothing_moves_farther_off_than_half_a_second(
-    pair: PairedTake, tmp_path: Path, told: str
+    pair: PairedTake, before: CleanResult, tmp_path: Path, told: str
 ) -> None:
-    before = clean(pair.take)
     found = clean(pair.take, CleanConfig(edits=edited(tmp_path, told)))
     moved, here = apart(found, before), during(pair.take, around=0.5)
     assert moved[~here].max() < 1e-9

@@ -172,7 +172,7 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
         for clip, k in (("m01", 1), ("m01", 2), ("m02", 1))
     ]
     among = replace(options, context="repetitions")
-    again, _ = measure_hidden(twice, ["none"], among, recordings=[Path("take.csv")])
+    again, _ = measure_hidden(twice, [], among, presets=["shen-2012:neighbors=3"])
     assert [record["clip"] for record in again] == ["m01_s01_e2", "m01_s02_e2"]
     shipped, _ = measure_hidden(pairs, ["none"], options)
     errors = [record["unhidden"]["none"] for record in (*found, *shipped)]
