@@ -29,6 +29,7 @@ from kinefilter.characters import (
     Term,
     standard_body,
 )
+from kinefilter.scenes import SAMPLE
 
 MakeClip = Callable[..., Clip]
 
@@ -162,6 +163,16 @@ def few_for_kernels() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("kinefilter.pipeline.lab.methods.local_models._FOR_KERNEL", 120)
         yield
+
+
+@pytest.fixture
+def brief_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let ``bench`` time a few of the sample's frames."""
+    lines = SAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
+    brief = tmp_path / "brief.csv"
+    brief.write_text("".join(lines[:90]), encoding="utf-8")
+    monkeypatch.setattr("kinefilter.pipeline.lab.bench.SAMPLE", brief)
+    monkeypatch.setattr("kinefilter.pipeline.lab.bench._TAKES_PER_CORE", 1)
 
 
 @pytest.fixture

@@ -19,7 +19,6 @@ from kinefilter.pipeline import checks
 from kinefilter.pipeline.cli import COMMANDS, main
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.formats import read_clip, read_take
-from kinefilter.pipeline.lab import bench
 from kinefilter.scenes import SAMPLE
 
 ROOT = Path(__file__).parents[1]
@@ -315,10 +314,8 @@ def test_a_database_given_by_name_is_used(tmp_path: Path) -> None:
     assert "physics" not in found
 
 
-def test_bench_measures_every_stage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bench, "_TAKES_PER_CORE", 1)
+@pytest.mark.usefixtures("brief_bench")
+def test_bench_measures_every_stage(tmp_path: Path) -> None:
     figures = tmp_path / "bench.json"
     assert main(["bench", "--json", str(figures)]) == 0
     found = json.loads(figures.read_text(encoding="utf-8"))

@@ -16,7 +16,7 @@ from viewing import ended, viewing
 from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.lab import bench, training
+from kinefilter.pipeline.lab import training
 
 ROOT = Path(__file__).parents[1]
 
@@ -43,13 +43,12 @@ def _commands(file: str = "README.md") -> list[str]:
 def little(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let commands of the lab measure and learn from less than they do for users."""
     monkeypatch.setattr(training, "_SIMULATED", 4)
-    monkeypatch.setattr(bench, "_TAKES_PER_CORE", 1)
     training._simulated.cache_clear()
     yield
     training._simulated.cache_clear()
 
 
-@pytest.mark.usefixtures("interruptible", "little")
+@pytest.mark.usefixtures("interruptible", "little", "brief_bench")
 def test_every_readme_command_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
