@@ -74,7 +74,6 @@ def pairs() -> list[PairedTake]:
 def _only_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulating people takes longer than what is tested here."""
     monkeypatch.setattr(training, "_SIMULATED", 0)
-    training._simulated.cache_clear()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,12 +39,9 @@ def _commands(file: str = "README.md") -> list[str]:
 
 
 @pytest.fixture
-def little(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let commands of the lab measure and learn from less than they do for users."""
+def little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of the lab learn from less than they do for users."""
     monkeypatch.setattr(training, "_SIMULATED", 4)
-    training._simulated.cache_clear()
-    yield
-    training._simulated.cache_clear()
 
 
 @pytest.mark.usefixtures("interruptible", "little", "brief_bench")

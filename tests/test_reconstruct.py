@@ -136,8 +136,6 @@ def test_the_process_agrees_with_scikit_learn() -> None:
     mean, sigma = other.fit(features, targets).predict(queries, return_std=True)
     expected = mean * (1.0 - sigma[:, :1] ** 2)
     np.testing.assert_allclose(process.predict(queries), expected, atol=1e-9)
-    alone = process.predict(queries[:1])  # another way to the same
-    np.testing.assert_allclose(alone, expected[:1], atol=1e-9)
 
 
 def test_what_a_take_shows_is_learned_in_one_thread(

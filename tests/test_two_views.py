@@ -70,7 +70,6 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
 ) -> None:
     """Two people beside a sensor, and somebody with markers."""
     monkeypatch.setattr(training, "_SIMULATED", 0)
-    training._simulated.cache_clear()
     for person in ("ann", "bob"):
         name = f"{person}_90deg_wave"
         for file, end in zip((*session[:2], session[3]), ("_A", "_B", ""), strict=True):
@@ -91,7 +90,6 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
     options = ["--train", str(marked), "--methods", "learned", "--no-physics"]
     views = ["--views", str(tmp_path), *options, "--json", str(out)]
     assert main(["evaluate", *views]) == 0
-    training._simulated.cache_clear()
     assert taught == [("bob",), ("ann",)]
     for found in json.loads(out.read_text("utf-8"))["sessions"]:
         for limb in LIMBS:

@@ -15,7 +15,6 @@ from kinefilter import clean
 from kinefilter.characters import KINECT_V1, Clip, InputError, Take
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip, write_clip
-from kinefilter.pipeline.lab import training
 from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN as LIMBS
 from kinefilter.pipeline.lab.limb_guesses import hide
@@ -125,11 +124,7 @@ def test_the_scale_of_errors_is_found_again() -> None:
 
 
 @paired
-def test_intervals_hold_for_a_person_whom_nothing_has_learned_from(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(training, "_SIMULATED", 0)  # which takes longer than the rest
-    training._simulated.cache_clear()
+def test_intervals_hold_for_a_person_whom_nothing_has_learned_from() -> None:
     clips = {
         person: read_pairs(PAIRS / f"{person}.npz")[:40]
         for person in ("s02", "s03", "s06", "s07")

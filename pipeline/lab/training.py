@@ -131,7 +131,7 @@ def teach(
     if method == "learned":
         return FourierRidgeLearner(lessons.skeleton).fit(
             lessons,
-            simulated=_simulated(lessons.skeleton),
+            simulated=_simulated(lessons.skeleton, _SIMULATED),
             views=views,
             people=people,
             progress=progress,
@@ -141,7 +141,7 @@ def teach(
 
 
 @cache
-def _simulated(skeleton: Skeleton) -> TrainingSet | None:
-    if not _SIMULATED:
+def _simulated(skeleton: Skeleton, people: int) -> TrainingSet | None:
+    if not people:
         return None
-    return training_set(simulated_pairs(skeleton.name, people=_SIMULATED))
+    return training_set(simulated_pairs(skeleton.name, people=people))

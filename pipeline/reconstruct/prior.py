@@ -132,7 +132,7 @@ class MotionPrior:
     def _likely(self, hidden: Stretches) -> Array | None:
         """Return directions for the posture alone, as ``unseen`` does, (W, M, H, 3)."""
         seen, visible = hidden.seen, list(hidden.limb.visible)
-        vectors = hidden.motion[2]
+        _, _, vectors = hidden.motion
         bones = np.full(vectors.shape, np.nan)
         bones[..., visible, :] = vectors[..., visible, :]
         lower = seen.heading.root[hidden.frames, 1] - seen.standing

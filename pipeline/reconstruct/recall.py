@@ -9,7 +9,6 @@ helped in stretches that it did not learn from.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -34,7 +33,7 @@ _FOLDS = 4  # parts of the take, each predicted from the others
 _MOMENTUM = 1.0  # share of its speed that a limb keeps, unless the take shows more
 _DOUBT = 0.1  # departure of a direction against which that share is weighed
 _BLUR = 0.2  # s: shorter holes in the frames that are seen are ignored
-_ALGEBRA = ThreadpoolController()  # of numpy and scipy; to find it takes milliseconds
+_BLAS = ThreadpoolController()  # found once, which takes milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +55,9 @@ class Process:
     def predict(self, features: Array) -> Array:
         """Return the mean times one minus the variance, shape (N, C)."""
         kernel = _kernel(features, self.features)
-        if len(kernel) == 1:  # a frame of live motion
-            solved = kernel @ self._inverse
-        else:
-            solved = cho_solve(self.factor, kernel.T).T
-        variance = 1.0 - np.sum(kernel * solved, axis=1)
+        variance = 1.0 - np.sum(kernel.T * cho_solve(self.factor, kernel.T), axis=0)
         certainty = 1.0 - np.clip(variance, 0.0, 1.0)
         return np.asarray(certainty[:, None] * (kernel @ self.weights))
-
-    @cached_property
-    def _inverse(self) -> Array:
-        """The inverse of the kernel matrix, made once for many single frames."""
-        return np.asarray(cho_solve(self.factor, np.eye(len(self.features))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +140,7 @@ def learn(
     momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving
     # With two threads, a matrix this small can take half a second on a busy machine.
-    with _ALGEBRA.limit(limits=1, user_api="blas"):
+    with _BLAS.limit(limits=1, user_api="blas"):
         weight = _weight(features, targets, begins, ends)
         process = Process.of(features, targets) if weight > 0.0 else None
     return Recall(process, weight, momentum)

@@ -84,9 +84,9 @@ class BridgedMotion:
         )
 
     def bones(self, frames: Indices) -> Array:
-        """Return all segments as vectors [m] in frames (...), shape (..., 3 J)."""
+        """Return all segments as vectors [m] in frames (...), shape (..., J, 3)."""
         positions = self.positions[frames]
-        return _flat(positions - positions[..., self.skeleton.parents, :])
+        return np.asarray(positions - positions[..., self.skeleton.parents, :])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,9 @@ class Stretches:
         return np.stack([self.at + 1.0, self.length - self.at + 0.0]) / self.seen.rate
 
     def between(self, before: Array, later: Array) -> Array:
-        """Interpolate values (W, 1, C) from ``last`` to ``after``, if that is known."""
-        share = ((self.at + 1.0) / (self.length + 1.0))[..., None]
+        """Interpolate values (W, 1, ...) from ``last`` to ``after``, if it is known."""
+        share = (self.at + 1.0) / (self.length + 1.0)
+        share = share.reshape(*share.shape, *(1,) * (before.ndim - 2))
         return before + share * (later - before) if self.ahead else before
 
     @cached_property
@@ -157,10 +158,7 @@ class Stretches:
             velocity = 0.5 * seen.rate * (next_ - past)
         else:
             velocity = seen.rate * (now - past)
-        change, velocity, now = (
-            v.reshape(*frames.shape, -1, 3) for v in (now - line, velocity, now)
-        )
-        return change, velocity, now
+        return now - line, velocity, now
 
 
 @dataclass(frozen=True, eq=False)
