@@ -17,6 +17,7 @@ from kinefilter.characters import KINECT_V2, InputError, Origin, Take
 from kinefilter.characters.arrays import runs
 from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.draft import Unedited
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile, read_edits
 from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.formats import write_take_csv
@@ -31,12 +32,25 @@ BEGIN, END = 2.0, 3.0
 
 @pytest.fixture(scope="module")
 def pair() -> PairedTake:
-    return simulate("basic", "wave", seed=5)
+    """Return the first five seconds of a take, two more than the edits reach."""
+    whole, some = simulate("basic", "wave", seed=5), slice(150)
+    return replace(whole, take=whole.take.at(some), truth=whole.truth[some])
 
 
 @pytest.fixture(scope="module")
-def before(pair: PairedTake) -> CleanResult:
-    return clean(pair.take)
+def unedited(pair: PairedTake) -> Unedited:
+    return Cleaner().unedited(pair.take)
+
+
+@pytest.fixture(scope="module")
+def before(pair: PairedTake, unedited: Unedited) -> CleanResult:
+    return Cleaner().clean(pair.take, edits=(), before=unedited)
+
+
+@pytest.fixture(scope="module")
+def posed(pair: PairedTake) -> CleanResult:
+    """Return the take cleaned without physics and edits."""
+    return cleaned(pair.take)
 
 
 def edited(folder: Path, text: str) -> Path:
@@ -99,9 +113,14 @@ def test_a_limb_that_is_distrusted_goes_on_as_if_it_were_hidden(
     ],
 )
 def test_nothing_moves_farther_off_than_half_a_second(
-    pair: PairedTake, before: CleanResult, tmp_path: Path, told: str
+    pair: PairedTake,
+    unedited: Unedited,
+    before: CleanResult,
+    tmp_path: Path,
+    told: str,
 ) -> None:
-    found = clean(pair.take, CleanConfig(edits=edited(tmp_path, told)))
+    edits = read_edits(edited(tmp_path, told))
+    found = Cleaner().clean(pair.take, edits=edits, before=unedited)
     moved, here = apart(found, before), during(pair.take, around=0.5)
     assert moved[~here].max() < 1e-9
     if "exchange" in told:  # cleaning finds the swap in this good take and undoes it
@@ -123,56 +142,54 @@ def test_nothing_moves_farther_off_than_half_a_second(
     assert np.ptp(np.linalg.norm(bones, axis=-1), axis=0).max() < 1e-9
 
 
-def test_a_limb_alone_moves(pair: PairedTake, tmp_path: Path) -> None:
+def test_a_limb_alone_moves(
+    pair: PairedTake, posed: CleanResult, tmp_path: Path
+) -> None:
     told = table("distrust", joints='"right-arm"')
     found = cleaned(pair.take, edited(tmp_path, told))
-    moved = apart(found, cleaned(pair.take))
+    moved = apart(found, posed)
     assert moved[:, ARM].max() > 4 * np.delete(moved, ARM, axis=1).max()
 
 
 def test_a_take_that_was_cleaned_before_is_edited_as_one_cleaned_at_once(
-    pair: PairedTake, tmp_path: Path
+    pair: PairedTake, unedited: Unedited, before: CleanResult, tmp_path: Path
 ) -> None:
     path = edited(tmp_path, table("distrust", joints='"right-arm"'))
     at_once = clean(pair.take, CleanConfig(edits=path))
-    cleaner = Cleaner()
-    before = cleaner.unedited(pair.take)
-    again = cleaner.clean(pair.take, edits=read_edits(path), before=before)
+    again = Cleaner().clean(pair.take, edits=read_edits(path), before=unedited)
     np.testing.assert_array_equal(again.clip.positions, at_once.clip.positions)
     assert again.notes == at_once.notes
     # And without the edits it is as it was.
-    undone = cleaner.clean(pair.take, edits=(), before=before).clip
-    np.testing.assert_array_equal(undone.positions, clean(pair.take).clip.positions)
+    undone, whole = before.clip.positions, clean(pair.take).clip.positions
+    np.testing.assert_array_equal(undone, whole)
 
 
 @pytest.mark.parametrize(
     "joint", ["WristRight", "HandLeft", "ElbowLeft", "KneeRight", "AnkleLeft", "Head"]
 )
 def test_a_pinned_joint_is_where_it_is_pinned_and_its_neighbors_follow(
-    pair: PairedTake, joint: str
+    pair: PairedTake, unedited: Unedited, before: CleanResult, joint: str
 ) -> None:
-    take, cleaner = pair.take, Cleaner()
-    before = cleaner.unedited(take)
-    plain = cleaner.clean(take, edits=(), before=before)
+    take = pair.take
     since, j = take.time - take.time[0], take.skeleton.index(joint)
     frame = int(np.abs(since - 2.5).argmin())
     # A leg that stands has to bend; arms and head may go anywhere near.
     off = [0.04, 0.0, 0.0] if joint.startswith("Knee") else [0.03, 0.05, -0.04]
-    places = [plain.clip.positions[k, j] + off for k in (frame, frame + 8)]
+    places = [before.clip.positions[k, j] + off for k in (frame, frame + 8)]
     pins = [
         Edit("pin", since[k], since[k], (joint,), position=tuple(place.tolist()))
         for k, place in zip((frame, frame + 8), places, strict=True)
     ]
-    found = cleaner.clean(take, edits=pins, before=before)
+    found = Cleaner().clean(take, edits=pins, before=unedited)
     for k, place in zip((frame, frame + 8), places, strict=True):
         assert np.linalg.norm(found.clip.positions[k, j] - place) < 0.015
-    moved = apart(found, plain)
+    moved = apart(found, before)
     assert moved[np.abs(since - since[frame]) > 0.5 + 8 / 30 + 0.02].max() < 1e-9
     jerk = np.abs(np.diff(moved[:, j], 3)).max()
     assert jerk < 0.02  # m: no frame stands out from its neighbors
     assert found.clip.origin[frame, j] != Origin.MEASURED
     if joint == "AnkleLeft":  # raised by 5 cm, with the foot
-        assert plain.clip.contacts[frame, :2].any()
+        assert before.clip.contacts[frame, :2].any()
         assert not found.clip.contacts[frame, :2].any()
 
 
@@ -202,7 +219,8 @@ def test_a_foot_stands_where_it_is_said_and_nothing_slides_for_that(
 
 def test_edits_of_several_sensors_move_nothing_else_either() -> None:
     views = simulate_session("basic", "walk", sensors=("v2", "v2"), seed=3)
-    takes, config = [view.pair.take for view in views], CleanConfig(physics=False)
+    takes = [view.pair.take.at(slice(135)) for view in views]
+    config = CleanConfig(physics=False)
     before, _ = clean_session(takes, config)
     told = [Edit("distrust", BEGIN, END, ("right-arm",))]
     found, merged = clean_session(takes, config, edits=told)
@@ -272,11 +290,11 @@ def test_sides_are_put_back_before_joints_are_named(
 
 
 def test_sides_that_are_exchanged_are_put_back(
-    pair: PairedTake, tmp_path: Path
+    pair: PairedTake, posed: CleanResult, tmp_path: Path
 ) -> None:
     wrong = pair.take.swapped(during(pair.take))
     found = cleaned(wrong, edited(tmp_path, table("exchange")))
-    assert apart(found, cleaned(pair.take))[during(pair.take)].max() < 0.02
+    assert apart(found, posed)[during(pair.take)].max() < 0.02
 
 
 @pytest.mark.parametrize(
