@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -181,6 +181,18 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def usd_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let USD be read in the process of the test: starting another takes a second."""
+    from kinefilter.pipeline.formats import clips, usd_reader
+
+    def read(reader: str, path: Path) -> dict[str, NDArray[Any]]:
+        arrays = getattr(usd_reader, reader)(os.fspath(path))
+        return {name: np.asarray(array) for name, array in arrays.items()}
+
+    monkeypatch.setattr(clips, "read_usd", read)
 
 
 @pytest.fixture

@@ -67,6 +67,7 @@ def tilted_body() -> Body:
     return replace(body, directions=tilted)
 
 
+@pytest.mark.usefixtures("usd_here")
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz", ".bvh"])
 @pytest.mark.parametrize("export", EXPORTS)
 def test_axes_and_unit_are_undone(
@@ -87,6 +88,7 @@ def test_axes_and_unit_are_undone(
     assert turned_by(found, clip) < 1e-4
 
 
+@pytest.mark.usefixtures("usd_here")
 @pytest.mark.parametrize("suffix", USD)
 @pytest.mark.parametrize("export", EXPORTS[:2])
 def test_usd_gives_back_where_every_joint_came_from(
@@ -127,6 +129,7 @@ def test_usd_gives_back_where_every_joint_came_from(
             np.testing.assert_array_equal(read.triangles, shape.triangles)
 
 
+@pytest.mark.usefixtures("usd_here")
 def test_what_usd_does_not_say_is_unknown(make_clip: MakeClip, tmp_path: Path) -> None:
     clip = make_clip(4)
     clip = replace(clip, external_force=np.full(4, np.nan))
@@ -137,6 +140,7 @@ def test_what_usd_does_not_say_is_unknown(make_clip: MakeClip, tmp_path: Path) -
     assert found.props == ()
 
 
+@pytest.mark.usefixtures("usd_here")
 def test_a_clip_that_refers_to_its_character_is_read(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
@@ -157,6 +161,7 @@ def test_usd_on_the_rig_of_others_is_refused_with_what_to_do(
         read_clip(path)
 
 
+@pytest.mark.usefixtures("usd_here")
 def test_a_damaged_usd_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> None:
     write_clip(make_clip(4), tmp_path / "clip.usda")
     text = (tmp_path / "clip.usda").read_text()

@@ -62,6 +62,7 @@ def same(clip: Clip, other: Clip) -> bool:
 # The part
 
 
+@pytest.mark.usefixtures("usd_here")
 @every_format
 def test_a_part_has_its_frames_and_what_is_known_of_them(
     make_clip: MakeClip, tmp_path: Path, suffix: str
@@ -137,6 +138,7 @@ def test_csv_keeps_the_places_that_are_left(
     assert np.linalg.norm(away, axis=-1).max() < MILLIMETER
 
 
+@pytest.mark.usefixtures("usd_here")
 @every_format
 @every_travel
 def test_every_format_keeps_what_is_left(

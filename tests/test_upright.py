@@ -130,6 +130,7 @@ def test_somebody_who_does_cartwheels_is_left_alone() -> None:
     assert clean(replace(take, positions=positions), QUICK).clip.roll == 0.0
 
 
+@pytest.mark.usefixtures("usd_here")
 def test_a_clip_says_how_its_take_was_turned(tmp_path: Path) -> None:
     take = turned(standing("down"), "zx", [170.0, 25.0])
     result = clean(take, QUICK)
@@ -193,28 +194,33 @@ def test_an_avatar_tells_how_the_sensor_was_turned() -> None:
 
 def test_who_no_longer_stands_before_a_tilted_sensor_stays_turned() -> None:
     stands, squats = standing("down"), standing("front")
-    positions = np.concatenate([stands.positions, *[squats.positions] * 2])
+    positions = np.concatenate([stands.positions, squats.positions])
     time = np.arange(len(positions)) / 30.0
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
     take = turned(Take(time, positions, state, KINECT_V1), "x", 40.0)
     assert abs(heads(take)[80:] - 1.6).max() < 0.2
 
 
-@pytest.mark.parametrize(("first", "last"), [(0, 0), (40, 40), (40, 55)])
+@pytest.fixture(scope="module")
+def usual() -> Array:
+    """Return how high the head of somebody is who stands idly in each frame [m]."""
+    return heads(seen("stand_idle"), of=slice(60))
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 0), (15, 15), (15, 30)])
 def test_absurd_frames_do_not_move_the_floor_of_an_avatar(
-    first: int, last: int
+    usual: Array, first: int, last: int
 ) -> None:
     take = seen("stand_idle")
     positions = take.positions.copy()
     positions[first : last + 1, :, 1] -= 99.0
     found = heads(replace(take, positions=positions), of=slice(last + 30))
-    usual = heads(take, of=slice(last + 30))
-    assert abs(found - usual)[last + 10 :].max() < 0.15
+    assert abs(found - usual[: last + 30])[last + 10 :].max() < 0.15
 
 
 def test_an_avatar_follows_a_floor_that_is_another_within_a_second_or_so() -> None:
     take = seen("stand_idle")
     positions = take.positions.copy()
-    positions[60:, :, 1] += 0.8
-    found = heads(replace(take, positions=positions), of=slice(110))
-    assert abs(found[100:] - 1.6).max() < 0.1
+    positions[20:, :, 1] += 0.8
+    found = heads(replace(take, positions=positions), of=slice(70))
+    assert abs(found[60:] - 1.6).max() < 0.1
