@@ -167,12 +167,13 @@ def few_for_kernels() -> Iterator[None]:
 
 @pytest.fixture
 def brief_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let ``bench`` time a few of the sample's frames."""
+    """Let ``bench`` time a few of the sample's frames, on one core."""
     lines = SAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
     brief = tmp_path / "brief.csv"
-    brief.write_text("".join(lines[:90]), encoding="utf-8")
+    brief.write_text("".join(lines[:40]), encoding="utf-8")
     monkeypatch.setattr("kinefilter.pipeline.lab.bench.SAMPLE", brief)
     monkeypatch.setattr("kinefilter.pipeline.lab.bench._TAKES_PER_CORE", 1)
+    monkeypatch.setattr("kinefilter.pipeline.lab.bench.cores", lambda: 1)
 
 
 @pytest.fixture
