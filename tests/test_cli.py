@@ -260,7 +260,8 @@ def test_names_cannot_break_lines_or_steer_the_terminal(
 def test_what_is_too_long_for_the_memory_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.bvh")]
+    take = _edited(tmp_path, "take.csv", "\n".join(_sample_rows()[:40]))
+    words = ["clean", str(take), "-o", str(tmp_path / "clip.bvh")]
     monkeypatch.setattr(checks, "_LARGE", 0)
     assert main([*words, "--method", "none", "--no-physics"]) == 0
     monkeypatch.setattr(checks, "_NEEDED", 10**15)

@@ -139,7 +139,7 @@ def test_bvh_keeps_places_rotations_names_and_frame_time(
     assert turned_by(bvh.rotations[:, nodes], expected) < RADIANS
 
 
-@round_trip
+@settings(parent=round_trip, max_examples=10)  # each makes a skin
 @given(
     options=st.fixed_dictionaries(motions),
     export=exports,
