@@ -274,6 +274,7 @@ def test_resampled_frames_hold_still_in_a_gap(held: CleanResult) -> None:
     assert (even.origin[even.time < start] < Origin.FILLED).all()
 
 
+@pytest.mark.usefixtures("usd_here")
 @pytest.mark.parametrize("suffix", [".bvh", ".usda", ".npz"])
 def test_written_clips_hold_still_in_a_gap(
     held: CleanResult, suffix: str, tmp_path: Path
