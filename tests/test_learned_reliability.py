@@ -233,9 +233,9 @@ def test_weights_of_another_skeleton_or_none_are_refused(tmp_path: Path) -> None
 
 
 def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:
-    pairs = pairs_with_props("kinect_v1", people=10)
+    pairs = pairs_with_props("kinect_v1", people=7)
     seeds = [int(pair.clip.rpartition("_e")[2]) for pair in pairs]
-    assert len(set(seeds)) == 10
+    assert len(set(seeds)) == 7
     assert max(seeds) < 1000
     assert all(
         any(scene in pair.clip for pair in pairs)
@@ -249,8 +249,8 @@ def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:
 @pytest.mark.parametrize("sensor", ["v1", "v2"])
 def test_simulated_joints_that_are_far_off_are_found(sensor: str) -> None:
     settings_ = [
-        *(("basic", "cross_arms"), ("office", "talk"), ("box", "lift_box")),
-        *(("basic", "squat"), ("chair", "chair"), ("flip_chart", "wave")),
+        *(("basic", "cross_arms"), ("office", "talk")),
+        *(("box", "lift_box"), ("flip_chart", "wave")),
     ]
     pairs = [
         simulate(scene, motion, sensor=sensor, seed=1400 + k)

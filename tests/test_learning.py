@@ -85,7 +85,7 @@ def model(pairs: list[PairedTake]) -> FourierRidge:
 @pytest.fixture(scope="module")
 def lessons(pairs: list[PairedTake]) -> TrainingSet:
     """Return what one person teaches."""
-    return training_set(pairs[:6])
+    return training_set(pairs[:6:2])
 
 
 @pytest.fixture(scope="module")
@@ -179,10 +179,11 @@ def test_reliability_is_measured_against_the_truth(pairs: list[PairedTake]) -> N
 
 
 def test_known_people_are_corrected_better(pairs: list[PairedTake]) -> None:
-    figures = evaluate(pairs, [], ["learned"], protocol="repetitions", physics=False)
+    two = pairs[:12]
+    figures = evaluate(two, [], ["learned"], protocol="repetitions", physics=False)
     known = figures["methods"]
     assert known["learned"]["E"] < 0.9 * known["raw"]["E"]
-    assert known["learned"]["people"].keys() == {"s01", "s02", "s03"}
+    assert known["learned"]["people"].keys() == {"s01", "s02"}
 
 
 def test_a_model_file_gives_the_same_corrections(
