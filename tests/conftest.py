@@ -5,6 +5,7 @@ import signal
 
 # The suite runs on all cores; more threads of linear algebra would only fight.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # scikit-learn's
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

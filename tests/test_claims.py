@@ -20,9 +20,11 @@ from kinefilter.pipeline.lab.studies import (
     output,
     recordings_folder,
     reproduce,
+    shum,
 )
 from kinefilter.pipeline.lab.studies.cleaned_takes import _LOW_IS_WORSE
 from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
+from kinefilter.scenes import SAMPLE
 
 ROOT = Path(__file__).parents[1]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -131,10 +133,15 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
     assert [verdict.held for verdict in quick] == [None, None, None]
 
 
-def test_every_claim_has_its_cell_in_the_study() -> None:
+def test_every_claim_has_its_cell_in_the_study(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of those studies that are quick: a name that changed would be found late."""
-    for name in ("shum-table-3", "cleaned-takes"):
-        study = reproduce(name, Options(), quick=True)
+    whole = shum._standard_postures
+    monkeypatch.setattr(shum, "_standard_postures", lambda *who: whole(*who)[::20])
+    for name, sizes in (
+        ("shum-table-3", {"motions": 1}),
+        ("cleaned-takes", {"count": 1}),
+    ):
+        study = STUDIES[name][0](Options(), **sizes)
         cells = {(row[0], column) for row in study.rows for column in study.columns}
         for claim in claims.read_claims():
             if claim.study == name:
@@ -231,7 +238,12 @@ def test_a_picture_that_cannot_be_made_is_told(
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(output, "_animate", refuse)
-    told = list(output.make_pictures(tmp_path))
+    few, folder = tmp_path / "few.csv", tmp_path / "pictures"
+    lines = SAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
+    few.write_text("".join(lines[:40]), encoding="utf-8")
+    folder.mkdir()
+    monkeypatch.setattr(output, "SAMPLE", few)
+    told = list(output.make_pictures(folder))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)
-    assert list(tmp_path.iterdir()) == []
+    assert list(folder.iterdir()) == []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 from kinefilter.characters import KINECT_V1, InputError, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab import hidden_limb_evaluation as hidden_limbs
+from kinefilter.pipeline.lab import limb_lessons
 from kinefilter.pipeline.lab.hidden_limb_evaluation import (
     HiddenLimbs,
     measure_hidden,
@@ -23,6 +26,7 @@ from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined
 from kinefilter.pipeline.lab.limb_recordings import Recording
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame
 
 ARM = [KINECT_V1.index(joint) for joint in ("ElbowLeft", "WristLeft", "HandLeft")]
@@ -110,7 +114,7 @@ def test_an_arm_that_swings_evenly_is_found_by_both_ends(pair: PairedTake) -> No
 def test_where_nothing_is_hidden_nothing_is_wrong(
     pair: PairedTake, live: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = HiddenLimbs(("arms",), live=live)
+    options = HiddenLimbs(("arms",), live=live, physics=not live)
     (wrong,), skipped = measure_hidden([pair], ["none"], options)
     assert skipped == 0
     assert wrong["unhidden"]["none"] > 0.5
@@ -134,7 +138,7 @@ def test_what_learns_is_taught_by_other_people(
 
     monkeypatch.setattr(hidden_limbs, "CorrectorFactory", Watched)
     pairs = [pair, *(replace(pair, subject=name) for name in ("s02", "s03"))]
-    options = HiddenLimbs(("left-arm",), guess="drift")
+    options = HiddenLimbs(("left-arm",), guess="drift", physics=False)
     presets = ["shen-2012:neighbors=3", "wang-low-rank"]
     records, _ = measure_hidden(pairs, ["none"], options, presets=presets)
     assert taught == [["s02", "s03"], ["s01", "s03"], ["s01", "s02"]]
@@ -159,6 +163,9 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
         return joined(some[:1])
 
     monkeypatch.setattr(hidden_limbs, "joined", noted)
+    # Processes take long to start: one for training, none for reading.
+    monkeypatch.setattr(hidden_limbs, "workers", partial(workers, 1))
+    monkeypatch.setattr(limb_lessons, "workers", partial(ThreadPoolExecutor, 1))
     recording = Recording("elsewhere", "walk", "take", pair.take)
     monkeypatch.setattr(hidden_limbs, "recordings_in", lambda _: [recording])
     pairs = [pair, replace(pair, subject="s02")]
@@ -174,9 +181,9 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
     among = replace(options, context="repetitions")
     again, _ = measure_hidden(twice, [], among, presets=["shen-2012:neighbors=3"])
     assert [record["clip"] for record in again] == ["m01_s01_e2", "m01_s02_e2"]
-    shipped, _ = measure_hidden(pairs, ["none"], options)
-    errors = [record["unhidden"]["none"] for record in (*found, *shipped)]
-    assert errors[0] != errors[2]
+    shipped, _ = measure_hidden(pairs[:1], ["none"], options)
+    errors = [record["unhidden"]["none"] for record in (found[0], *shipped)]
+    assert errors[0] != errors[1]
 
 
 def test_every_third_repetition_is_hidden_and_the_others_are_seen(

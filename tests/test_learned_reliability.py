@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,7 @@ Array = NDArray[np.float64]
 WRIST = KINECT_V1.index("WristLeft")
 
 
+@cache
 def performed(motion: str, skeleton: Skeleton = KINECT_V1, seed: int = 0) -> Take:
     act = perform(motion, standard_body(skeleton), seed=seed)
     state = np.full(act.positions.shape[:2], int(State.TRACKED), dtype=np.uint8)
@@ -231,9 +233,9 @@ def test_weights_of_another_skeleton_or_none_are_refused(tmp_path: Path) -> None
 
 
 def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:
-    pairs = pairs_with_props("kinect_v1", people=20)
+    pairs = pairs_with_props("kinect_v1", people=7)
     seeds = [int(pair.clip.rpartition("_e")[2]) for pair in pairs]
-    assert len(set(seeds)) == 20
+    assert len(set(seeds)) == 7
     assert max(seeds) < 1000
     assert all(
         any(scene in pair.clip for pair in pairs)
@@ -247,8 +249,8 @@ def test_lessons_hold_every_scene_and_nobody_of_a_study() -> None:
 @pytest.mark.parametrize("sensor", ["v1", "v2"])
 def test_simulated_joints_that_are_far_off_are_found(sensor: str) -> None:
     settings_ = [
-        *(("basic", "cross_arms"), ("office", "talk"), ("box", "lift_box")),
-        *(("basic", "squat"), ("chair", "chair"), ("flip_chart", "wave")),
+        *(("basic", "cross_arms"), ("office", "talk")),
+        *(("box", "lift_box"), ("flip_chart", "wave")),
     ]
     pairs = [
         simulate(scene, motion, sensor=sensor, seed=1400 + k)
@@ -267,8 +269,8 @@ def test_simulated_joints_that_are_far_off_are_found(sensor: str) -> None:
 @paired
 def test_recorded_joints_that_are_far_off_are_found() -> None:
     """Of real people, although it was taught by simulated ones alone."""
-    files = sorted(PAIRS.glob("s*.npz"))
-    areas = reliability_auc([pair for f in files for pair in read_pairs(f)[::6]])
+    files = sorted(PAIRS.glob("s*.npz"))[::2]
+    areas = reliability_auc([pair for f in files for pair in read_pairs(f)[::12]])
     for key, least, better in (
         ("over_10_cm", 0.8, 0.2),
         ("varying_over_7_cm", 0.75, 0.03),

@@ -196,27 +196,27 @@ def test_doubt_alone_calls_for_the_temporal_term(fitted: LocalGP) -> None:
             )
 
 
-def test_the_densities_have_the_variances_of_what_is_learned_from() -> None:
-    lessons = lessons_of(bent)
-    model = local_gp().fit(lessons)
-    steps = np.diff(lessons.positions[:, WRIST], n=2, axis=0)
-    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
-    np.testing.assert_allclose(model.movement_[m], np.mean(steps**2), rtol=1e-9)
+def test_the_densities_have_the_variances_of_what_is_learned_from(
+    fitted: LocalGP,
+) -> None:
+    steps = np.diff(lessons_of(bent).positions[:, WRIST], n=2, axis=0)
+    m = int(np.flatnonzero(fitted.joints_ == WRIST)[0])
+    np.testing.assert_allclose(fitted.movement_[m], np.mean(steps**2), rtol=1e-9)
 
 
 def test_reliability_tells_of_offsets_what_the_prediction_does_not() -> None:
     """Its density is a ratio: how much smaller offsets of reliable joints are."""
-    lessons = lessons_of(constant)
+    lessons = lessons_of(constant, count=120)
     offsets = lessons.truth[:, WRIST] - lessons.positions[:, WRIST]
     lessons.truth[::2, WRIST] += offsets[::2]
     lessons.reliability[::2, WRIST] = 0.5
-    model = local_gp().fit(lessons)
+    model = local_gp(clusters=2).fit(lessons)
     m = int(np.flatnonzero(model.joints_ == WRIST)[0])
     small, usual = np.mean(BIAS**2), np.mean([np.mean(BIAS**2), 4 * np.mean(BIAS**2)])
     expected = 1.0 / (1.0 / small - 1.0 / usual)
     np.testing.assert_allclose(model.misplaced_[m], expected, rtol=1e-9)
     lessons.reliability[:] = 1.0  # all alike: it tells nothing
-    assert local_gp().fit(lessons).misplaced_[m] > 1e6
+    assert local_gp(clusters=2).fit(lessons).misplaced_[m] > 1e6
 
 
 def test_the_temporal_term_pulls_to_the_velocity_as_its_weight_grows() -> None:

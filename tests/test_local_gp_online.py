@@ -35,6 +35,12 @@ def adapting() -> LocalGP:
     return local_gp(adapt=True, redundancy=0.3).fit(lessons_of(bent))
 
 
+@pytest.fixture(scope="module")
+def small() -> LocalGP:
+    """Return local models with room for few samples, of which some are full."""
+    return local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
+
+
 def test_nothing_is_learned_online_unless_asked_for(fitted: LocalGP) -> None:
     before = {key: array.copy() for key, array in fitted.arrays().items()}
     counts = fitted._models.counts.copy()
@@ -130,9 +136,8 @@ def _full(model: LocalGP, m: int) -> tuple[LocalModels, int]:
     return models, int(q)
 
 
-def test_a_full_model_gives_up_the_sample_that_tells_least() -> None:
-    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
-    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+def test_a_full_model_gives_up_the_sample_that_tells_least(small: LocalGP) -> None:
+    model, m = small, int(np.flatnonzero(small.joints_ == WRIST)[0])
     models, q = _full(model, m)
     kernel, x = model.kernels.of_joint(m), models.centers[m, q] + 0.05
     before = np.vstack([model.features_[m, q] * model.kernels.roots[m], x])
@@ -151,10 +156,11 @@ def test_a_full_model_gives_up_the_sample_that_tells_least() -> None:
     assert models.counts[m, q] == len(kept)
 
 
-def test_a_full_model_still_learns_what_comes_again_and_keeps_its_size() -> None:
-    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
-    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
-    models, q = _full(model, m)
+def test_a_full_model_still_learns_what_comes_again_and_keeps_its_size(
+    small: LocalGP,
+) -> None:
+    m = int(np.flatnonzero(small.joints_ == WRIST)[0])
+    models, q = _full(small, m)
     x = np.zeros_like(models.centers[:, 0])
     x[m] = models.centers[m, q] + 0.4
     new, size = models.predict(x, 1)[0][m] + BIAS, models.counts[m, q]
@@ -167,9 +173,8 @@ def test_a_full_model_still_learns_what_comes_again_and_keeps_its_size() -> None
     assert off[-1] < 0.2 * off[0]
 
 
-def test_what_the_others_predict_is_not_learned() -> None:
-    model = local_gp(samples=12, redundancy=0.0).fit(lessons_of(bent))
-    m = int(np.flatnonzero(model.joints_ == WRIST)[0])
+def test_what_the_others_predict_is_not_learned(small: LocalGP) -> None:
+    model, m = small, int(np.flatnonzero(small.joints_ == WRIST)[0])
     models, q = _full(model, m)
     again = model.features_[m, q, 0] * model.kernels.roots[m]
     rows = models._rows.copy()

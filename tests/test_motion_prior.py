@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.lab import limb_lessons
 from kinefilter.pipeline.lab.limb_lessons import (
     Lesson,
     joined,
@@ -35,6 +37,7 @@ from kinefilter.pipeline.reconstruct.windows import (
     Stretches,
     describe,
 )
+from kinefilter.pipeline.workers import workers
 
 Array = NDArray[np.float64]
 START, LENGTH = np.array([20]), 40
@@ -169,8 +172,11 @@ def test_the_error_of_joints_has_the_gradient_of_its_differences() -> None:
     assert (joint_error(np.zeros((5, 6)), truth, truth, lengths)[0] < error).all()
 
 
-def test_networks_learn_what_a_limb_does_and_read_back(tmp_path: Path) -> None:
-    pairs = list(simulated_pairs("kinect_v1", people=6))
+def test_networks_learn_what_a_limb_does_and_read_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limb_lessons, "workers", partial(workers, 1))
+    pairs = list(simulated_pairs("kinect_v1", people=4))
     lessons = read_lessons(map(Recording.of, pairs), ("between",))
     people = sorted({lesson.person for lesson in lessons})
 

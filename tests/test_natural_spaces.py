@@ -138,10 +138,11 @@ def test_others_mocap_brings_a_persons_postures_nearer_to_the_truth() -> None:
     others = [
         pair
         for person in ("s02", "s04", "s08")
-        for pair in read_pairs(PAIRS / f"{person}.npz")[::16]
+        for pair in read_pairs(PAIRS / f"{person}.npz")[::32]
     ]
-    test = read_pairs(PAIRS / "s06.npz")[::24]
-    figures = evaluate(others, test, ["local-pca"], database="mocap")["methods"]
+    test = read_pairs(PAIRS / "s06.npz")[::48]
+    figures = evaluate(others, test, ["local-pca"], database="mocap", physics=False)
+    figures = figures["methods"]
     assert figures["local-pca"]["E_std"] < 0.94 * figures["raw"]["E_std"]
     assert figures["local-pca"]["E_var"] < figures["raw"]["E_var"]
     database = database_from_pairs(others, others[0].take.skeleton)

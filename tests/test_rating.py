@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,10 +29,17 @@ FLOOR = -0.8  # m, of the sensor's frame
 
 
 @pytest.fixture
-def folders(make_clip: MakeClip, tmp_path: Path) -> Path:
-    """Return a folder of two systems and a sensor, with two motions each."""
+def folders(written: Path, tmp_path: Path) -> Path:
+    """Return a copy of a folder of two systems and a sensor, with two motions each."""
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def written(make_clip: MakeClip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("written")
     for name in ("oldway", "newway", "rawtakes"):
-        (tmp_path / name / "day").mkdir(parents=True)
+        (folder / name / "day").mkdir(parents=True)
     for motion, act in (("squatting", "squat"), ("day/waving", "wave")):
         body = make_clip(1).body
         clip = make_clip(time=(moved := perform(act, body, seed=1)).time)
@@ -43,15 +51,15 @@ def folders(make_clip: MakeClip, tmp_path: Path) -> Path:
             tilt=0.1,
             floor=FLOOR - 0.12,
         )
-        write_clip(clip, tmp_path / "newway" / f"{motion}.npz")
-        write_clip(clip, tmp_path / "oldway" / f"{motion}.bvh")
+        write_clip(clip, folder / "newway" / f"{motion}.npz")
+        write_clip(clip, folder / "oldway" / f"{motion}.bvh")
         raw = leveled(clip.positions + np.array([0.0, FLOOR, 0.0]), -0.1)
         state = np.full(raw.shape[:2], 2, dtype=np.uint8)
         state[10, 3] = 0
         take = Take(clip.time + 7.0, raw, state, clip.skeleton)
-        write_take_csv(take, tmp_path / "rawtakes" / f"{motion}.csv")
-    (tmp_path / "newway" / "manifest.csv").write_text("take,status\n")
-    return tmp_path
+        write_take_csv(take, folder / "rawtakes" / f"{motion}.csv")
+    (folder / "newway" / "manifest.csv").write_text("take,status\n")
+    return folder
 
 
 def _rate(folder: Path, *more: str, out: str = "page.html") -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
-from kinefilter.pipeline.lab import training
+from kinefilter.pipeline.lab import training, two_views
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.two_views import LIMBS
+from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
@@ -38,7 +40,7 @@ def _write(
 def session(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Return the arguments for a gesture before one sensor and beside another."""
     folder = tmp_path_factory.mktemp("views")
-    act = perform("wave", standard_body(KINECT_V2), seed=1)
+    act = perform("wave", standard_body(KINECT_V2), seed=1).at(slice(0, 120))
     time, count = act.time, len(act.time)
     toward = HeadingFrame(np.tile([0.0, -1.0, 2.4], (count, 1)), np.full(count, np.pi))
     beside = HeadingFrame(np.tile([0.3, -0.8, 2.0], (count, 1)), toward.yaw / 2)
@@ -70,6 +72,7 @@ def test_learned_has_not_learned_from_the_person_that_it_is_told_on(
 ) -> None:
     """Two people beside a sensor, and somebody with markers."""
     monkeypatch.setattr(training, "_SIMULATED", 0)
+    monkeypatch.setattr(two_views, "workers", partial(workers, 1))
     for person in ("ann", "bob"):
         name = f"{person}_90deg_wave"
         for file, end in zip((*session[:2], session[3]), ("_A", "_B", ""), strict=True):

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from kinefilter.pipeline.workers import ProcessDiedError, one_thread, workers
 
@@ -20,7 +20,7 @@ def _most_threads() -> int:
 
 def test_one_thread_is_used_and_the_environment_is_as_before() -> None:
     before = dict(os.environ)
-    with one_thread():
+    with threadpool_limits(2), one_thread():
         assert _most_threads() == 1
         assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
     assert dict(os.environ) == before
