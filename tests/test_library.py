@@ -98,8 +98,10 @@ def test_the_shipped_database_is_what_the_scripted_motions_give(
     # The rule: those kept differ by a threshold, and no other differs from all of them.
     np.fill_diagonal(apart, np.inf)
     threshold = apart.min()
-    # One that was dropped may be near to one that a larger threshold then dropped.
-    assert away.min(axis=1).max() < 4.0 * threshold
+    # Few were dropped for one that a slightly larger threshold then dropped too.
+    nearest = away.min(axis=1)
+    assert np.mean(nearest > 1.001 * threshold) < 0.02
+    assert nearest.max() < 4.0 * threshold
 
 
 def _squared_distances(some: PostureDatabase, others: PostureDatabase) -> Array:
