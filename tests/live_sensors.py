@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -42,6 +43,15 @@ def views(
     """Return what two virtual Kinects see of a person."""
     one, other = simulate_session("basic", motion, degrees=degrees, seed=seed)
     return one, other
+
+
+def beginning(seen: Sequence[SimulatedView], count: int) -> list[SimulatedView]:
+    """Return the first ``count`` frames of what each sensor saw."""
+    pairs = [
+        replace(pair, take=pair.take.at(slice(count)), truth=pair.truth[:count])
+        for pair in (view.pair for view in seen)
+    ]
+    return [v._replace(pair=pair) for v, pair in zip(seen, pairs, strict=True)]
 
 
 def two_sensors(take: Take) -> Sensors:

@@ -22,12 +22,13 @@ from batch_faults import (
     rows_done,
     scheduler,
 )
-from batch_takes import short_take, write_session
+from batch_takes import Here, short_take, write_session
 from dying import clean_or_die
 
 from kinefilter import CleanConfig
 from kinefilter.pipeline.batch import crew
 from kinefilter.pipeline.batch.run import clean_files
+from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.settings import Settings
 
@@ -69,12 +70,13 @@ def test_a_take_that_kills_its_process_fails_and_the_others_are_cleaned(
     assert "died" in outcome.failed[0].error
 
 
+@pytest.mark.usefixtures("here")
 def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
-    names = [f"take_{k}" for k in range(8)]
-    takes, words = _takes(tmp_path / "takes", *names, pairs=4), (*QUICK, *TOGETHER)
+    names = [f"take_{k}" for k in range(6)]
+    takes, words = _takes(tmp_path / "takes", *names, pairs=3), (*QUICK, *TOGETHER)
     command = batch(takes, tmp_path / "clips", *words, "--jobs", "2")
-    killed = killed_until_done(command, tmp_path / "clips", len(names), 2)
-    assert begin(batch(takes, tmp_path / "whole", *words, "--jobs", "1")).wait() == 0
+    killed = killed_until_done(command, tmp_path / "clips", len(names), 1, seed=1)
+    assert main(["batch", str(takes), "-o", str(tmp_path / "whole"), *words]) == 0
     assert killed >= 1
     assert len(clip_hashes(tmp_path / "clips")) == len(names)
     check(tmp_path / "clips", tmp_path / "whole")
@@ -98,12 +100,15 @@ def test_a_run_that_is_told_to_end_says_so_and_leaves_its_table(tmp_path: Path) 
 
 
 @needs_dask
-def test_a_cluster_whose_workers_die_does_every_take_once(tmp_path: Path) -> None:
-    takes = _takes(tmp_path / "takes", *(f"take_{k}" for k in range(6)), pairs=2)
+def test_a_cluster_whose_workers_die_does_every_take_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes = _takes(tmp_path / "takes", *(f"take_{k}" for k in range(4)), pairs=1)
     options = ("--method", "low-rank", "--to", "bvh", *TOGETHER)
-    killed = killed_workers(takes, tmp_path / "clips", *options, every=0.0)
-    assert begin(batch(takes, tmp_path / "whole", *options)).wait() == 0
+    killed = killed_workers(takes, tmp_path / "clips", *options, every=0.0, kills=2)
     assert killed >= 1
+    monkeypatch.setattr("kinefilter.pipeline.batch.run.open_crew", Here)
+    assert main(["batch", str(takes), "-o", str(tmp_path / "whole"), *options]) == 0
     check(tmp_path / "clips", tmp_path / "whole")
 
 

@@ -87,7 +87,7 @@ def seen(
     for seed, (name, export) in enumerate(VARIANTS.items()):
         skeleton = (KINECT_V2, KINECT_V1)[seed % 2]
         # Stamps as sensors give them: late, and now and then one is missing.
-        steps = np.random.default_rng(seed).choice([1 / 30, 1 / 29.9, 2 / 30], 20)
+        steps = np.random.default_rng(seed).choice([1 / 30, 1 / 29.9, 2 / 30], 12)
         body, time = somebody(skeleton, seed), 3.0 + np.cumsum(steps)
         clip = furnish(make_clip(skeleton=skeleton, seed=seed, time=time, body=body))
         if export.character is not None:

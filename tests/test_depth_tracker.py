@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.lab import teach_depth
 from kinefilter.pipeline.lab.studies import Options, reproduce
 from kinefilter.pipeline.lab.studies.tracker_studies import error_figures
+from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
 from kinefilter.scenes.sensor.body_part_forest import (
     BODY_PARTS,
@@ -214,7 +216,19 @@ def test_skin_is_found_on_the_body_and_nobody_has_none() -> None:
     assert not empty.area.any()
 
 
-def test_simulate_finds_the_joints_of_who_faces_the_sensor(tmp_path: Path) -> None:
+def brief(monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    """Let people perform for a second only: images of bodies take their time."""
+
+    def performed(*words: Any, **options: Any) -> Motion:
+        return perform(*words, **options).at(slice(50, 80))
+
+    monkeypatch.setattr(f"kinefilter.pipeline.lab.{module}.perform", performed)
+
+
+def test_simulate_finds_the_joints_of_who_faces_the_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    brief(monkeypatch, "simulation")
     out, truth = tmp_path / "take.csv", tmp_path / "truth.csv"
     command = ["simulate", "basic", "--motion", "raise_arms", "-o", str(out)]
     command += ["--skeleton", "kinect_v1", "--seed", "7", "--truth", str(truth)]
@@ -323,7 +337,7 @@ def test_a_forest_is_taught_by_mocap_and_says_what_it_is_worth(tmp_path: Path) -
     for name in ("05_01", "07_01", "02_01"):
         (tmp_path / f"{name}.bvh.gz").symlink_to((CMU / f"{name}.bvh.gz").resolve())
     out = tmp_path / "forest.npz"
-    sizes = teach_depth.Sizes(people=4, images=6, leaves=300, features=40)
+    sizes = teach_depth.Sizes(people=3, images=4, leaves=200, features=30)
     said = list(teach_depth.teach_depth(tmp_path, out, sizes, checked=2))
     forest = BodyPartForest.load(out)
     share = float(said[1].split()[3].rstrip("%:"))
@@ -352,7 +366,10 @@ def test_figures_of_errors_are_those_of_errors_that_are_known() -> None:
     assert alike == pytest.approx(-1.0)
 
 
-def test_without_recordings_scripted_motions_are_looked_at() -> None:
+def test_without_recordings_scripted_motions_are_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    brief(monkeypatch, "studies.tracker_studies")
     study = reproduce("tracker-errors", Options(), quick=True)
     figures = {str(row[0]): row[1:] for row in study.rows}
     assert set(figures) >= {"wrists, model", "wrists, depth", "all, depth"}

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter import CleanConfig, clean
+from kinefilter import CleanConfig, CleanResult, clean
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 Array = NDArray[np.float64]
@@ -196,23 +198,32 @@ def test_hidden_hands_keep_what_they_hold(tmp_path: Path, seen: bool) -> None:
     assert (character.grasp.held is not None) is not seen
 
 
-@pytest.mark.parametrize("seed", [203, 208])
-def test_a_mimed_lift_lifts_the_box_and_puts_it_down(seed: int) -> None:
+@cache
+def lifted(seed: int) -> CleanResult:
     take = simulate("box", "lift_box", seed=seed).take
-    result = clean(take, CleanConfig(scene="box"))
+    return clean(take, CleanConfig(scene="box"))
+
+
+@pytest.mark.parametrize("seed", [208, 203])
+def test_a_mimed_lift_lifts_the_box_and_puts_it_down(seed: int) -> None:
+    result = lifted(seed)
     (box,) = (p for p in result.clip.props if p.name == "box")
     height = box.positions[:, 1]
     assert height.max() > 0.9
     assert 0.14 < height[-1] < 0.22  # on the floor, upright or on its side
     lowest = np.abs(matrix_from_wxyz(box.rotations)[:, 1]) @ [0.2, 0.15, 0.15]
     assert (height - lowest).min() > -0.01
-    plain, held = clean(take).stages["physics"], result.stages["physics"]
+
+
+def test_feet_skate_little_more_with_a_box_than_without() -> None:
+    plain = clean(simulate("box", "lift_box", seed=203).take).stages["physics"]
+    held = lifted(203).stages["physics"]
     assert held.skate_mm_per_frame < plain.skate_mm_per_frame + 0.5
 
 
 def test_hands_far_from_props_stay_the_performers() -> None:
     take = simulate("box", "wave", seed=1).take
-    body = clean(take).clip.body
+    body = measure_body(take)
     character = PulledCharacter(body, scene="box")
     rest = body.rest_positions
     for _ in range(3):
@@ -221,7 +232,7 @@ def test_hands_far_from_props_stay_the_performers() -> None:
 
 
 def test_who_sits_rests_on_the_chair_and_does_not_sink_in() -> None:
-    take = simulate("chair", "chair", seed=5).take
+    take = simulate("chair", "chair", seed=5).take.at(slice(160))  # who sits once
     hips = []
     for scene in (None, "chair"):
         clip = clean(take, CleanConfig(scene=scene)).clip

@@ -41,7 +41,7 @@ from kinefilter.pipeline.settings import read_settings
 
 HERE = Path(__file__).parent
 KINEFILTER = [sys.executable, "-m", "kinefilter.pipeline.cli"]
-QUICK = ["--method", "none", "--no-physics", "--to", "bvh", "--jobs", "2"]
+QUICK = ["--method", "none", "--no-physics", "--to", "bvh", "--jobs", "1"]
 BARE = {  # what makes every process do without what Windows does not have
     **os.environ,
     "PYTHONPATH": os.pathsep.join([str(HERE / "bare_host"), str(HERE)]),

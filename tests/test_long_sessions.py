@@ -12,7 +12,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.merge import align
 
-FPS, SECONDS, DRIFT = 10.0, 2400.0, 2e-4
+FPS, SECONDS, DRIFT = 10.0, 1200.0, 4e-4
 
 
 def moving(time: Array) -> Array:
@@ -33,9 +33,9 @@ def moving(time: Array) -> Array:
     return np.asarray(turned + limbs + path)
 
 
-@pytest.mark.parametrize("away", [0.0, 700.0])
-def test_clocks_that_drift_for_most_of_an_hour_agree_at_both_ends(away: float) -> None:
-    """One that gains 0.2 ms a second is half a second ahead at the end.
+@pytest.mark.parametrize("away", [0.0, 350.0])
+def test_clocks_that_drift_for_twenty_minutes_agree_at_both_ends(away: float) -> None:
+    """One that gains 0.4 ms a second is half a second ahead at the end.
 
     Nobody is there for some time in the middle.
     """

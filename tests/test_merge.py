@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from live_sensors import error
+from live_sensors import beginning, error
 from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
@@ -27,6 +27,7 @@ from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.sensor import in_sensor_frame
 
 Array = NDArray[np.float64]
+FRAMES = 150  # of simulated takes
 _HERE = np.array([0.0, 0.0, 0.0])
 _FRONT = Placement(Rotation.identity(), np.zeros(3))
 
@@ -47,6 +48,7 @@ def session(
     views = simulate_session(
         "basic", "walk", sensors=sensors, degrees=degrees, seed=seed
     )
+    views = beginning(views, FRAMES)
     takes = [
         replace(view.pair.take, source=f"sensor{k}.csv")
         for k, view in enumerate(views, start=1)

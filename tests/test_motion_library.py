@@ -15,7 +15,7 @@ from kinefilter.scenes.library import MOTIONS, Area, perform, random_body
 from kinefilter.scenes.library.poses import JOINT_RANGES
 
 Array = NDArray[np.float64]
-PEOPLE = range(3)
+PEOPLE = range(2)
 SLACK = 5.0  # deg: sway, and the shoulder's range is measured with the collarbone's
 SIDES = (("Left", 1.0), ("Right", -1.0))
 FLIGHT = {"jump", "run"}

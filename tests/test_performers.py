@@ -23,7 +23,7 @@ from kinefilter.characters.rotations import inverse, rotate
 from kinefilter.scenes.library import MOTIONS, perform, perform_medley
 
 Array = NDArray[np.float64]
-SEEDS = range(3)
+SEEDS = {KINECT_V1: range(2), KINECT_V2: range(1)}  # both share the motion
 STANDING = sorted(
     set(MOTIONS)
     - {"carry", "kick", "lunge", "march", "raise_leg", "run", "step_over", "turn"}
@@ -40,7 +40,7 @@ def performance(name: str, skeleton: Skeleton, seed: int) -> Motion:
 
 
 def performances(name: str, skeleton: Skeleton) -> list[Motion]:
-    return [performance(name, skeleton, seed) for seed in SEEDS]
+    return [performance(name, skeleton, seed) for seed in SEEDS[skeleton]]
 
 
 @every_skeleton

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from short_sample import write_short_sample
 from viewing import ended, viewing
 
 from kinefilter.characters import KINECT_V1
@@ -18,6 +19,7 @@ from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.lab import training
 
 ROOT = Path(__file__).parents[1]
+BRIEF = 40  # frames of the sample, and of each clip of pairs
 
 
 def test_every_command_is_in_the_readme() -> None:
@@ -44,11 +46,17 @@ def little(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "_SIMULATED", 4)
 
 
-@pytest.mark.usefixtures("interruptible", "little", "brief_bench")
-def test_every_readme_command_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in an empty folder; return one of takes like scenes/takes, but brief."""
     monkeypatch.chdir(tmp_path)
+    path = write_short_sample(tmp_path / "takes", BRIEF)
+    monkeypatch.setattr("kinefilter.pipeline.lab.bench.SAMPLE", path)
+    return path.parent
+
+
+@pytest.mark.usefixtures("interruptible", "little", "few_for_kernels", "brief_bench")
+def test_every_readme_command_runs(takes: Path, tmp_path: Path) -> None:
     commands = _commands()
     assert len(commands) >= 5
     for command in commands:
@@ -58,15 +66,16 @@ def test_every_readme_command_runs(
         if recorded and not (ROOT.parent / "shared").is_dir():
             continue
         if command.startswith("kinefilter view "):  # which serves until it is ended
-            _serves_until_ended(_arguments(command)[1:])
+            _serves_until_ended(_arguments(command, takes)[1:])
         else:
-            assert main(_arguments(command)) == 0, command
+            assert main(_arguments(command, takes)) == 0, command
+        if "--pairs pairs.npz" in command:
+            _few_clips(tmp_path / "pairs.npz", 1)
 
 
 def test_every_command_for_a_tool_writes_what_the_tool_gets(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    takes: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     text = (ROOT / "pipeline/formats/TOOLS.md").read_text(encoding="utf-8")
     files = set(re.findall(r"-o (\S+)", text))
     # What is said of a file in the table is of one that a command writes.
@@ -74,7 +83,7 @@ def test_every_command_for_a_tool_writes_what_the_tool_gets(
     assert {file for row in rows for file in re.findall(r"`(.+?)`", row[2])} == files
     blender = os.environ.get("KINEFILTER_BLENDER")
     for command in _commands("pipeline/formats/TOOLS.md"):
-        words = _arguments(command)
+        words = _arguments(command, takes)
         if ".fbx" in command:
             if blender is None:
                 continue
@@ -91,15 +100,18 @@ def _serves_until_ended(arguments: list[str]) -> None:
         assert ended(process) == (0, "")
 
 
-def _arguments(command: str) -> list[str]:
-    """Return a README command's words, its paths resolved as if in the checkout."""
+def _arguments(command: str, takes: Path) -> list[str]:
+    """Return a README command's words, its paths resolved as if in the checkout.
+
+    The folder of takes is the one given.
+    """
     words = shlex.split(command)[1:]
-    paths = {"scenes/": ROOT / "scenes", "../shared/": ROOT.parent / "shared"}
+    paths = {"scenes/takes": takes, "../shared": ROOT.parent / "shared"}
     resolved: list[str] = []
     for word in words:
         for prefix, folder in paths.items():
             if word.startswith(prefix):
-                word = str(folder / word.removeprefix(prefix))
+                word = f"{folder}{word.removeprefix(prefix)}"
         if "*" in word:
             matches = sorted(Path(word).parent.glob(Path(word).name))
             resolved += [str(_few_clips(p)) for p in matches[:2]]
@@ -108,26 +120,24 @@ def _arguments(command: str) -> list[str]:
     return resolved
 
 
-def _few_clips(path: Path) -> Path:
-    """Return a file as it is, of pairs one with a few of their clips in this folder."""
+def _few_clips(path: Path, every: int = 25) -> Path:
+    """Return a file as it is, or pairs cut to a few short clips, in this folder."""
     if path.suffix != ".npz":
         return path
     with np.load(path) as file:
         arrays = dict(file)
     for name in ("clip", "start", "stop"):
-        arrays[name] = arrays[name][::25]
+        arrays[name] = arrays[name][::every]
+    arrays["stop"] = np.minimum(arrays["stop"], arrays["start"] + BRIEF)
     np.savez_compressed(path.name, **arrays)
     return Path(path.name)
 
 
-def test_the_readmes_python_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_readmes_python_runs(takes: Path, tmp_path: Path) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     assert blocks
-    monkeypatch.chdir(tmp_path)
     for block in blocks:
-        code = block.replace("scenes/", f"{ROOT.as_posix()}/scenes/")
+        code = block.replace("scenes/takes", takes.as_posix())
         exec(compile(code, "README.md", "exec"), {})
-    assert any(tmp_path.iterdir())
+    assert any(path.is_file() for path in tmp_path.iterdir())

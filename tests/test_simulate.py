@@ -123,7 +123,7 @@ def test_the_command_lets_people_do_what_fits_the_scene_and_stay_in_view(
 
 def gaits_in_view(name: str, sensor: str) -> list[Motion]:
     skeleton = SKELETONS["kinect_v1" if sensor == "v1" else "kinect_v2"]
-    bodies = [random_body(skeleton, np.random.default_rng(seed)) for seed in range(4)]
+    bodies = [random_body(skeleton, np.random.default_rng(seed)) for seed in range(2)]
     return [
         perform(
             name, body, seed=seed, within=area_in_view(SENSORS[sensor], body.height)

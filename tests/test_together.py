@@ -31,8 +31,14 @@ def _together(*takes: Take) -> list[CleanResult]:
     return [result for result in found if isinstance(result, CleanResult)]
 
 
-def test_far_from_each_other_they_are_as_if_alone(take: Take) -> None:
-    alone = clean(take, CONFIG)
+@pytest.fixture(scope="module")
+def alone(take: Take) -> CleanResult:
+    return clean(take, CONFIG)
+
+
+def test_far_from_each_other_they_are_as_if_alone(
+    take: Take, alone: CleanResult
+) -> None:
     first, second = _together(take, _beside(take, 2.5).at(slice(20, 60)))
     np.testing.assert_allclose(first.clip.positions, alone.clip.positions, atol=1e-4)
     assert len(second.clip) == 40
@@ -40,8 +46,7 @@ def test_far_from_each_other_they_are_as_if_alone(take: Take) -> None:
     np.testing.assert_allclose(away, np.array([2.5, 0.0, 0.0]) + 0.0 * away, atol=0.05)
 
 
-def test_near_each_other_they_push(take: Take) -> None:
-    alone = clean(take, CONFIG)
+def test_near_each_other_they_push(take: Take, alone: CleanResult) -> None:
     first, second = _together(take, _beside(take, 0.15))
     pushed = first.clip.positions - alone.clip.positions
     assert np.linalg.norm(pushed, axis=2).max() > 0.01
@@ -55,8 +60,7 @@ def test_they_share_the_props(take: Take) -> None:
         np.testing.assert_array_equal(one.positions, other.positions)
 
 
-def test_who_is_out_of_view_touches_nobody(take: Take) -> None:
-    alone = clean(take, CONFIG)
+def test_who_is_out_of_view_touches_nobody(take: Take, alone: CleanResult) -> None:
     first, _ = _together(take, _beside(take, 0.15).at(slice(0, 10)))
     seen = np.linalg.norm(first.clip.positions - alone.clip.positions, axis=2)
     assert seen[:10].max() > 0.01

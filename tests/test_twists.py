@@ -112,9 +112,9 @@ def test_a_skeleton_from_a_file_has_those_that_it_has(
         assert {read.rest.names[n] for n in read.twists} == {
             rig.rest.names[n] for n in rig.twists
         }
+        found, wanted = (retarget(clip, r).rotations for r in (read, whole))
         for n, name in enumerate(read.rest.names):
             there = whole.rest.names.index(name)
-            found, wanted = (retarget(clip, r).rotations for r in (read, whole))
             np.testing.assert_allclose(found[:, n], wanted[:, there], atol=1e-5)
 
 

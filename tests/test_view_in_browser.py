@@ -18,6 +18,7 @@ import pytest
 import viser
 from browser import Browser
 from numpy.typing import NDArray
+from short_sample import write_short_sample
 from viewing import viewing
 
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take
@@ -30,8 +31,8 @@ from kinefilter.pipeline.look.viewer import CleanAgain, Viewer
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.settings import Settings, hash_of
-from kinefilter.scenes import SAMPLE
 
+FRAMES = 90  # of the take that is viewed
 WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
 _PATIENCE = 60.0  # s: WebGL on a busy processor is slow
 _CANVAS = (slice(190, 490), slice(0, 510))  # the scene, without panel and messages
@@ -57,8 +58,14 @@ _LISTED = "return [...document.querySelectorAll('input')].map((i) => i.value).jo
 
 
 @pytest.fixture(scope="module")
-def viewed() -> Drawing:
-    take = read_take(SAMPLE)
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file with the beginning of the sample, where an arm is doubtful."""
+    return write_short_sample(tmp_path_factory.mktemp("brief"), FRAMES)
+
+
+@pytest.fixture(scope="module")
+def viewed(brief: Path) -> Drawing:
+    take = read_take(brief)
     return Drawing.of(clean(take), take)
 
 
@@ -68,8 +75,8 @@ def saved(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def viewer(viewed: Drawing, saved: Path) -> Iterator[Viewer]:
-    take, cleaner = read_take(SAMPLE), Cleaner()
+def viewer(viewed: Drawing, brief: Path, saved: Path) -> Iterator[Viewer]:
+    take, cleaner = read_take(brief), Cleaner()
     before = cleaner.unedited(take)
 
     def again(edits: Sequence[Edit], progress: Progress) -> Drawing:
@@ -98,7 +105,7 @@ def _running(
 @pytest.fixture
 def page(browser: Browser, viewer: Viewer) -> Browser:
     browser.open(viewer.address)
-    _wait(lambda: "frame 1 of 298" in browser.run(_TEXT))
+    _wait(lambda: f"frame 1 of {FRAMES}" in browser.run(_TEXT))
     return browser
 
 
@@ -135,7 +142,7 @@ def _changed(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
     return int((np.abs(one - other).max(axis=2) > 30.0).sum())
 
 
-def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
+def test_the_page_shows_the_motion_and_curves_plays_and_asks_nobody_else(
     page: Browser, viewer: Viewer
 ) -> None:
     start = _seen(page, lambda pixels: _blues(pixels) > 50)
@@ -150,10 +157,11 @@ def test_the_page_shows_the_motion_plays_and_asks_nobody_else(
     _wait(lambda: "Pause" not in page.run(_TEXT))
     own = (f"{viewer.address}/", f"blob:{viewer.address}/", "data:")
     assert all(address.startswith(own) for address in page.requests())
+    _draws_the_curves_of_a_joint(page)
     assert not [line for line in page.console() if "SEVERE" in line]
 
 
-def test_the_curves_of_a_joint_are_drawn_in_their_folder(page: Browser) -> None:
+def _draws_the_curves_of_a_joint(page: Browser) -> None:
     curves = (
         "return [...document.querySelectorAll('#curves .curve')]"
         ".map((curve) => curve.getAttribute('d'))"
@@ -164,9 +172,9 @@ def test_the_curves_of_a_joint_are_drawn_in_their_folder(page: Browser) -> None:
 
 
 def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
-    page: Browser, saved: Path
+    page: Browser, brief: Path, saved: Path
 ) -> None:
-    take = read_take(SAMPLE)
+    take = read_take(brief)
     bars = (
         "return [...document.querySelectorAll('#timeline .row')]"
         ".map((row) => row.getAttribute('d'))"
@@ -205,16 +213,16 @@ def test_edits_are_made_undone_saved_and_the_take_is_cleaned_with_them(
 
 @pytest.mark.usefixtures("here")
 def test_a_listed_take_is_cleaned_again_in_the_folder_of_its_batch(
-    browser: Browser, tmp_path: Path
+    browser: Browser, brief: Path, tmp_path: Path
 ) -> None:
     takes, clips = tmp_path / "takes", tmp_path / "clips"
     takes.mkdir()
-    (takes / "wave.csv").write_bytes(SAMPLE.read_bytes())
+    (takes / "wave.csv").write_bytes(brief.read_bytes())
     quick = Settings(CleanConfig(method="none", physics=False))
     once = clean_files([str(takes)], str(clips), quick, suffix=".npz").rows[0].clips[0]
     with viewing([str(clips), "--take", str(takes)]) as (_, address):
         browser.open(address)
-        _wait(lambda: "frame 1 of 298" in browser.run(_TEXT))
+        _wait(lambda: f"frame 1 of {FRAMES}" in browser.run(_TEXT))
         browser.run(_PRESS, "distrust")
         _wait(lambda: "1. left-arm distrusted" in browser.run(_LISTED))
         browser.run(_PRESS, "Save and clean again")
@@ -226,16 +234,19 @@ def test_a_listed_take_is_cleaned_again_in_the_folder_of_its_batch(
         browser.run(_PRESS, "Save and clean again")
         _wait(lambda: "wave.csv: there is no such file" in browser.run(_TEXT))
     assert read_rows(clips) == [row]
-    (takes / "wave.csv").write_bytes(SAMPLE.read_bytes())
+    (takes / "wave.csv").write_bytes(brief.read_bytes())
     again = clean_files([str(takes)], str(clips), quick, suffix=".npz")
     assert again.rows == []
 
 
 def test_a_page_from_elsewhere_cannot_connect(
-    browser: Browser, viewer: Viewer, tmp_path: Path
+    browser: Browser, viewed: Drawing, saved: Path, tmp_path: Path
 ) -> None:
     files = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
-    with ThreadingHTTPServer(("127.0.0.1", 0), files) as elsewhere:
+    with (
+        _running(viewed, saved) as viewer,
+        ThreadingHTTPServer(("127.0.0.1", 0), files) as elsewhere,
+    ):
         threading.Thread(target=elsewhere.serve_forever, daemon=True).start()
         browser.open(f"http://127.0.0.1:{elsewhere.server_port}")
         assert not _connects(browser, viewer.address)
