@@ -111,8 +111,8 @@ def test_a_step_that_nobody_saw_takes_as_long_as_a_step() -> None:
     path, stands = np.zeros((120, 2)), np.ones(120, dtype=np.bool_)
     path[60:, 0] = 0.3
     feet._split(stamps(120), path, stands, slice(0, 120))
-    # Three tenths of a second about the 60th frame.
-    assert runs(~stands) == [slice(56, 65)]
+    # Four tenths of a second about the 60th frame.
+    assert runs(~stands) == [slice(54, 66)]
 
 
 @settings(max_examples=30, deadline=None)
@@ -128,7 +128,8 @@ def test_no_stance_strays_by_twice_the_drift(seed: int, reach: float) -> None:
     for stance in runs(stance_of(time, path)[:, 0]):
         if stance.stop - stance.start > 3:
             # Smoothing rounds the corners of the path.
-            assert np.ptp(path[stance, LEFT[0]][:, [0, 2]], axis=0).max() < 0.22
+            away = np.ptp(path[stance, LEFT[0]][:, [0, 2]], axis=0).max()
+            assert away < 2.0 * feet._DRIFT + 0.02
 
 
 def test_who_leaves_the_floor_with_both_feet_does_not_stand() -> None:
@@ -296,8 +297,8 @@ def test_a_leap_of_an_invented_ankle_is_no_step() -> None:
 @pytest.mark.parametrize(
     ("motion", "agreement", "rest"),
     [
-        # Steps are quick: the time to unload and load a foot is most of what differs.
-        ("walk", 0.86, 0.97),
+        # A foot bears until the other does, also where its toes begin to move.
+        ("walk", 0.9, 0.94),
         ("march", 0.9, 0.96),
         ("jump", 0.81, 0.88),
         ("kick", 0.95, 0.97),

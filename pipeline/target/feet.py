@@ -31,17 +31,16 @@ _ERROR_OF_HEIGHT = 0.1  # m
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for planted
 _SWITCH = 4.0  # cost of a change in log odds: the hysteresis. A guess.
 _SPEED_TIME = 0.1  # s over which speed is averaged where there is no look-ahead
+_ROUNDING = 1e-9  # s: of time stamps
 _RATE = 30.0  # Hz of the takes that the odds are for: a higher rate adds no evidence
-_DRIFT = 0.10  # m: an ankle that moved farther has made a step that was not detected
+_DRIFT = 0.15  # m: an ankle that moved farther has made a step that was not detected
 _FREE_FALL = -0.75 * GRAVITY
 """Least upward acceleration [m/s^2] of a smoothed trunk between two stances that tells
 a jump: those of simulated people go below -0.78 g, of steps and turns mostly not below
 -0.6 g (seeds 100 to 102)."""
-_AT_REST = 0.02
-"""Distance [m] of toes from their place at which they rest there. With more, feet bear
-for longer but slide in quick steps (walks, turns, dances, runs; seeds 1100 to 1300)."""
+_AT_REST = 0.03  # m of toes from the place at which a foot still bears
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
-_STEP = 0.3  # s: duration of such a step
+_STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
 PLANTED = 120.0
 """Bone weight of a planted foot; a measured joint has 1."""
@@ -83,7 +82,7 @@ def find_stance(
     for foot in range(2):
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
-    return _supported(time, positions, confidence, _unloaded(time, stands), skeleton)
+    return _handed_over(time, positions, confidence, _unloaded(time, stands), skeleton)
 
 
 def planted_feet(contacts: Flags) -> Flags:
@@ -152,21 +151,23 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
             begin, end = time[stance.start], time[stance.stop - 1]
             margin = min(_UNLOADING, 0.25 * (end - begin))
             if stance.start > 0:
-                down = np.searchsorted(time, begin + margin - 1e-9)
+                down = np.searchsorted(time, begin + margin - _ROUNDING)
                 shorter[stance.start : down, foot] = False
             if stance.stop < len(time):
-                up = np.searchsorted(time, end - margin + 1e-9)
+                up = np.searchsorted(time, end - margin + _ROUNDING)
                 shorter[up : stance.stop, foot] = False
     return shorter
 
 
-def _supported(
+def _handed_over(
     time: Array, positions: Array, confidence: Array, stands: Flags, skeleton: Skeleton
 ) -> Flags:
-    """Return stances extended so that whoever does not jump mostly stands on a foot.
+    """Return stances extended so that each foot hands the body over to the other.
 
-    Between two stances that is the foot whose toes are nearer to where they rest before
-    or after, while they are there, also in the frames before and after.
+    Whoever does not jump always stands on a foot. Between a stance of one foot and the
+    next of the other, the first bears until the second does, where their toes are
+    nearest to these places. No foot bears farther than ``_AT_REST`` from its place, nor
+    where less than a step (``_STEP``) of its own would remain.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -177,13 +178,32 @@ def _supported(
     weights = np.maximum(confidence[:, toes], _LEAST_WEIGHT)
     paths = smooth(time, positions[:, toes], weights, cutoff=_CUTOFF)
     for gap in runs(np.asarray(~stands.any(axis=1))):
-        if acceleration[gap].min() > _FREE_FALL:
-            ends = [max(gap.start - 1, 0), min(gap.stop, len(stands) - 1)]
-            away = np.linalg.norm(paths[gap, None] - paths[ends], axis=3)
-            away = np.where(stands[ends], away, np.inf).min(axis=1)
-            away[1:-1] = np.maximum(np.maximum(away[:-2], away[2:]), away[1:-1])
-            near = np.flatnonzero(away.min(axis=1) < _AT_REST)
-            longer[gap.start + near, away.argmin(axis=1)[near]] = True
+        before, after = gap.start - 1, gap.stop
+        inside = before >= 0 and after < len(time)
+        if not inside or acceleration[gap].min() <= _FREE_FALL:
+            continue
+        earliest = int(np.searchsorted(time, time[before] - _STEP))
+        latest = int(np.searchsorted(time, time[after] + _STEP))
+        hand_overs = []
+        for foot in np.flatnonzero(stands[before] & stands[after, ::-1]):
+            other = 1 - foot
+            again = time[after:latest][stands[after:latest, foot]]
+            rose = time[earliest:after][longer[earliest:after, other]]
+            bears = time[gap] <= np.append(again, np.inf)[0] - _STEP + _ROUNDING
+            takes = time[gap] >= np.append(-np.inf, rose)[-1] + _STEP - _ROUNDING
+            left = np.linalg.norm(paths[gap, foot] - paths[before, foot], axis=1)
+            right = np.linalg.norm(paths[gap, other] - paths[after, other], axis=1)
+            bears = np.logical_and.accumulate(bears & (left < _AT_REST))
+            takes = np.logical_and.accumulate((takes & (right < _AT_REST))[::-1])[::-1]
+            cost = np.zeros(len(left) + 1)
+            cost[1:] += np.cumsum(np.where(bears, left, _AT_REST))
+            cost[:-1] += np.cumsum(np.where(takes, right, _AT_REST)[::-1])[::-1]
+            k = int(cost.argmin())
+            hand_overs.append((cost[k], foot, bears[:k], takes[k:]))
+        if hand_overs:
+            _, foot, bears, takes = min(hand_overs, key=lambda found: found[0])
+            longer[gap, foot][: len(bears)] = bears
+            longer[gap, 1 - foot][len(bears) :] = takes
     return longer
 
 
@@ -201,7 +221,8 @@ def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     rest = sums[-1] - sums[:-1]
     gain = np.sum(sums[:-1] ** 2 / k + rest**2 / (count - k), axis=1)
     middle = time[stance.start + 1 + int(gain.argmax())]
-    first, last = np.searchsorted(time, [middle - 0.5 * _STEP, middle + 0.5 * _STEP])
+    ends = np.array([middle - 0.5 * _STEP, middle + 0.5 * _STEP])
+    first, last = np.searchsorted(time, ends - _ROUNDING)
     first, last = max(int(first), stance.start), min(int(last), stance.stop)
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):

@@ -13,6 +13,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector, unit
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.progress import over
+from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.scenes.library import MOTIONS
 
 from .study import Cell, Options, Panel, Series, Study
@@ -71,9 +72,11 @@ def _figures(
     raw, before, after = (stages[key] for key in ("raw", "corrected", "physics"))
     amplitude = after.amplitude_kept / before.amplitude_kept
     hand_speed = after.peak_hand_speed / before.peak_hand_speed
+    stands = planted_feet(result.clip.contacts)
     return {
         "feet slide, mm a frame": after.skate_mm_per_frame,
         "feet over 0.2 m/s, %": 100.0 * after.skate_share_over_0p2,
+        "frames on neither foot, %": 100.0 * float(np.mean(~stands.any(axis=1))),
         "body under the floor, mean, mm": after.penetration_mean_mm,
         "body under the floor, most, mm": after.penetration_mm,
         "standing soles float, mm": after.float_mm,
