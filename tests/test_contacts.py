@@ -97,6 +97,18 @@ def test_a_foot_that_steps_is_found_stepping_and_stands_before_and_after(
     assert 2.3 - 0.5 * UNLOADING < arrives < 2.3 + 2.5 * UNLOADING
 
 
+@pytest.mark.parametrize("rises", [1.5, 1.45, 1.4])
+def test_a_foot_bears_until_the_other_has_landed(rises: float) -> None:
+    time = stamps(120)
+    path = stepping(time, 1.0, 1.5, LEFT) + stepping(time, rises, rises + 0.5, RIGHT)
+    stands = stance_of(time, path - standing(120))
+    assert stands.any(axis=1).all()
+    for foot, begins in enumerate((1.0, rises)):
+        (step,) = runs(~stands[:, foot])
+        assert time[step.start] == pytest.approx(begins, abs=UNLOADING)
+        assert time[step.stop - 1] == pytest.approx(begins + 0.5, abs=UNLOADING)
+
+
 def test_a_foot_that_crept_elsewhere_has_stepped_unseen() -> None:
     time = stamps(150)
     path = standing(150)
@@ -324,8 +336,8 @@ def test_feet_of_a_performance_stand_where_their_toes_rest(
     [
         ("turn", 1.0, 1.0),
         ("lunge", 1.0, 1.0),
-        ("march", 0.85, 1.0),
-        ("walk", 0.8, 1.0),
+        ("march", 1.0, 1.0),
+        ("walk", 1.0, 1.0),
         ("jump", 0.6, 0.95),
     ],
 )

@@ -178,33 +178,40 @@ def _handed_over(
     weights = np.maximum(confidence[:, toes], _LEAST_WEIGHT)
     paths = smooth(time, positions[:, toes], weights, cutoff=_CUTOFF)
     for gap in runs(np.asarray(~stands.any(axis=1))):
-        before, after = gap.start - 1, gap.stop
-        inside = before >= 0 and after < len(time)
-        if not inside or acceleration[gap].min() <= _FREE_FALL:
-            continue
-        earliest = int(np.searchsorted(time, time[before] - _STEP))
-        latest = int(np.searchsorted(time, time[after] + _STEP))
-        hand_overs = []
-        for foot in np.flatnonzero(stands[before] & stands[after, ::-1]):
-            other = 1 - foot
-            again = time[after:latest][stands[after:latest, foot]]
-            rose = time[earliest:after][longer[earliest:after, other]]
-            bears = time[gap] <= np.append(again, np.inf)[0] - _STEP + _ROUNDING
-            takes = time[gap] >= np.append(-np.inf, rose)[-1] + _STEP - _ROUNDING
-            left = np.linalg.norm(paths[gap, foot] - paths[before, foot], axis=1)
-            right = np.linalg.norm(paths[gap, other] - paths[after, other], axis=1)
-            bears = np.logical_and.accumulate(bears & (left < _AT_REST))
-            takes = np.logical_and.accumulate((takes & (right < _AT_REST))[::-1])[::-1]
-            cost = np.zeros(len(left) + 1)
-            cost[1:] += np.cumsum(np.where(bears, left, _AT_REST))
-            cost[:-1] += np.cumsum(np.where(takes, right, _AT_REST)[::-1])[::-1]
-            k = int(cost.argmin())
-            hand_overs.append((cost[k], foot, bears[:k], takes[k:]))
-        if hand_overs:
-            _, foot, bears, takes = min(hand_overs, key=lambda found: found[0])
-            longer[gap, foot][: len(bears)] = bears
-            longer[gap, 1 - foot][len(bears) :] = takes
+        inside = gap.start > 0 and gap.stop < len(time)
+        if inside and acceleration[gap].min() > _FREE_FALL:
+            feet = np.flatnonzero(stands[gap.start - 1] & stands[gap.stop, ::-1])
+            options = [_hand_over(time, paths, longer, gap, foot) for foot in feet]
+            if options:
+                longer[gap] = min(options, key=lambda option: option[0])[1]
     return longer
+
+
+def _hand_over(
+    time: Array, paths: Array, stands: Flags, gap: slice, foot: int
+) -> tuple[float, Flags]:
+    """Return a cost, and the stances of a gap, (N, 2), where a foot hands over.
+
+    The cost is how far toes, of which ``paths`` (T, 2, 3) are given, are from the place
+    of the foot that bears, summed over the frames [m].
+    """
+    before, after, other = gap.start - 1, gap.stop, 1 - foot
+    around = time[before] - _STEP, time[after] + _STEP
+    earliest, latest = np.searchsorted(time, around)
+    lands = time[after:latest][stands[after:latest, foot]].min(initial=np.inf)
+    rose = time[earliest:after][stands[earliest:after, other]].max(initial=-np.inf)
+    left = np.linalg.norm(paths[gap, foot] - paths[before, foot], axis=1)
+    right = np.linalg.norm(paths[gap, other] - paths[after, other], axis=1)
+    bears = (left < _AT_REST) & (time[gap] <= lands - _STEP + _ROUNDING)
+    takes = (right < _AT_REST) & (time[gap] >= rose + _STEP - _ROUNDING)
+    bears = np.logical_and.accumulate(bears)
+    takes = np.logical_and.accumulate(takes[::-1])[::-1]
+    cost = np.zeros(len(left) + 1)  # of the hand-over before each frame, or after all
+    cost[1:] += np.cumsum(np.where(bears, left, _AT_REST))
+    cost[:-1] += np.cumsum(np.where(takes, right, _AT_REST)[::-1])[::-1]
+    k, best = int(cost.argmin()), np.zeros((len(left), 2), dtype=np.bool_)
+    best[:k, foot], best[k:, other] = bears[:k], takes[k:]
+    return float(cost[k]), best
 
 
 def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
