@@ -115,11 +115,14 @@ class StanceTracker:
     """Stance detector for live motion, frame by frame without look-ahead.
 
     The odds are those of ``find_stance``. A change needs as much evidence as it costs
-    there, and speed is averaged over a tenth of a second.
+    there, and speed is averaged over a tenth of a second. A foot that moved away from
+    where it landed no longer stands.
     """
 
     def __init__(self) -> None:
         self._paths: Array | None = None
+        self._toes: Array | None = None
+        self._places, self._lifted = np.zeros((2, 3)), np.zeros(2)
         self._lead = np.full(2, _SWITCH)
         self._stands = np.ones(2, dtype=np.bool_)
 
@@ -130,7 +133,7 @@ class StanceTracker:
         height of the ankle of a foot that is flat on it [m].
         """
         if self._paths is None:
-            self._paths = ankles.copy()
+            self._paths, self._places = ankles.copy(), ankles.copy()
         share = 1.0 - np.exp(-dt / _SPEED_TIME)
         moved = share * (ankles - self._paths)
         self._paths = self._paths + moved
@@ -138,9 +141,27 @@ class StanceTracker:
         height = self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
         lead = np.clip(self._lead + odds * dt * _RATE, -_SWITCH, _SWITCH)
-        self._lead = lead
-        self._stands = np.where(self._stands, lead > -_SWITCH, lead >= _SWITCH)
+        away = np.linalg.norm((self._paths - self._places)[:, [0, 2]], axis=1)
+        stood = self._stands
+        self._lead = np.where(stood & (away > _DRIFT), -_SWITCH, lead)
+        self._stands = np.where(stood, self._lead > -_SWITCH, self._lead >= _SWITCH)
+        self._places = np.where(stood[:, None], self._places, ankles)
         return self._stands
+
+    def lift(self, toes: Array, soles: Array, dt: float) -> Array:
+        """Return by how much to lift each foot [m] so that none slides, shape (2,).
+
+        To be called after ``step``. Toe positions [m], shape (2, 3), have the floor at
+        y = 0; ``soles`` is the height of toes that rest on it [m], shape (2,).
+        """
+        before, self._toes = toes if self._toes is None else self._toes, toes.copy()
+        speed = np.linalg.norm((toes - before)[:, [0, 2]], axis=1) / dt
+        slides = ~self._stands & (speed > _SLIDE_SPEED)
+        most = _CLEARANCE / _LIFT_TIME * dt
+        needed = np.where(slides, _CLEARANCE, 0.0)
+        self._lifted = self._lifted + np.clip(needed - self._lifted, -most, most)
+        above = np.where(self._stands, 0.0, toes[:, 1] - soles)
+        return np.maximum(self._lifted - above, 0.0)
 
 
 def _unloaded(time: Array, stands: Flags) -> Flags:
@@ -181,7 +202,9 @@ def _handed_over(
         inside = gap.start > 0 and gap.stop < len(time)
         if inside and acceleration[gap].min() > _FREE_FALL:
             feet = np.flatnonzero(stands[gap.start - 1] & stands[gap.stop, ::-1])
-            options = [_hand_over(time, paths, longer, gap, foot) for foot in feet]
+            options = [
+                _hand_over(time, paths, longer, gap, foot) for foot in feet.tolist()
+            ]
             if options:
                 longer[gap] = min(options, key=lambda option: option[0])[1]
     return longer

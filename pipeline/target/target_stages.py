@@ -219,7 +219,7 @@ class Feet(Stage):
         self._planted = np.zeros(2, dtype=np.bool_)
 
     def step(self, draft: Draft) -> None:
-        """Hold or release the feet of the next frame."""
+        """Hold, release or lift the feet of the next frame."""
         positions, weights = draft.positions.copy(), draft.weights.copy()
         path, elapsed = positions[self._parts], draft.elapsed
         stands = self._stance.step(path[:, 0], self._flat, elapsed)
@@ -230,6 +230,9 @@ class Feet(Stage):
         self._moved *= np.exp(-elapsed / _LET_GO)
         self._moved[stands] = self._anchors[stands] - path[stands]
         positions[self._parts] += self._moved
+        toes = positions[self._parts[:, 1]]
+        lift = self._stance.lift(toes, self._heights[:, 1], elapsed)
+        positions[self._parts, 1] += lift[:, None]
         weights[self._parts[stands]] = feet.PLANTED
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
