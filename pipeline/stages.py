@@ -109,7 +109,7 @@ class Failures(Stage):
             draft.measured = np.full_like(draft.measured, np.nan)
             draft.state = np.zeros_like(draft.state)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Find and repair the failures of a take."""
         take = draft.take()
         draft.failures = find_failures(take)
@@ -132,7 +132,7 @@ class MeasureBody(Stage):
     def step(self, draft: Draft) -> None:
         """No-op: in live mode the body is known before the first frame."""
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Measure the person in a take."""
         if draft.unedited is not None:
             before = draft.unedited.corrected
@@ -152,7 +152,7 @@ class MeasureCorrectedBody(MeasureBody):
 
     name = "measure again"
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Measure the person in a take."""
         if draft.unedited is not None:
             draft.body = draft.unedited.planted.body
@@ -186,7 +186,7 @@ class Score(Stage):
         scores = self._scorer.step(draft.measured, draft.state, draft.time)
         draft.reliability, draft.deciding_term, draft.geometry = scores
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Score a take, with no reliability for limbs where the tracker failed."""
         scorer = self._make_scorer(draft.skeleton, draft.reference)
         scores = distrust(scorer.score(draft.take()), draft.failures, draft.skeleton)
@@ -209,7 +209,7 @@ class Standardize(Stage):
         joints = draft.completed, draft.reliability
         draft.standard, draft.heading = self._standardizer.step(*joints)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Map a take."""
         joints = draft.completed, draft.reliability
         draft.standard, draft.heading = Standardizer(draft.body).steps(*joints)

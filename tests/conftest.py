@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from browser import Browser, missing
 from numpy.typing import NDArray
+from short_takes import write_short_sample
 
 from kinefilter.characters import (
     KINECT_V1,
@@ -30,7 +31,6 @@ from kinefilter.characters import (
     Term,
     standard_body,
 )
-from kinefilter.scenes import SAMPLE
 
 MakeClip = Callable[..., Clip]
 
@@ -169,9 +169,7 @@ def few_for_kernels() -> Iterator[None]:
 @pytest.fixture
 def brief_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let ``bench`` time a few of the sample's frames, on one core."""
-    lines = SAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
-    brief = tmp_path / "brief.csv"
-    brief.write_text("".join(lines[:40]), encoding="utf-8")
+    brief = write_short_sample(tmp_path / "brief", 39)
     monkeypatch.setattr("kinefilter.pipeline.lab.bench.SAMPLE", brief)
     monkeypatch.setattr("kinefilter.pipeline.lab.bench._TAKES_PER_CORE", 1)
     monkeypatch.setattr("kinefilter.pipeline.lab.bench.cores", lambda: 1)

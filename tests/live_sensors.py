@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from rich.console import Console
+from short_takes import beginning
 
 from kinefilter import Avatar
 from kinefilter.characters import InputError, Take
@@ -45,13 +45,9 @@ def views(
     return one, other
 
 
-def beginning(seen: Sequence[SimulatedView], count: int) -> list[SimulatedView]:
+def first_frames(seen: Sequence[SimulatedView], count: int) -> list[SimulatedView]:
     """Return the first ``count`` frames of what each sensor saw."""
-    pairs = [
-        replace(pair, take=pair.take.at(slice(count)), truth=pair.truth[:count])
-        for pair in (view.pair for view in seen)
-    ]
-    return [v._replace(pair=pair) for v, pair in zip(seen, pairs, strict=True)]
+    return [view._replace(pair=beginning(view.pair, count)) for view in seen]
 
 
 def two_sensors(take: Take) -> Sensors:

@@ -9,6 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 import pytest
+from short_takes import write_short_sample
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
@@ -24,7 +25,6 @@ from kinefilter.pipeline.lab.studies import (
 )
 from kinefilter.pipeline.lab.studies.cleaned_takes import _LOW_IS_WORSE
 from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
-from kinefilter.scenes import SAMPLE
 
 ROOT = Path(__file__).parents[1]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -238,11 +238,9 @@ def test_a_picture_that_cannot_be_made_is_told(
         raise InputError("no OpenGL")
 
     monkeypatch.setattr(output, "_animate", refuse)
-    few, folder = tmp_path / "few.csv", tmp_path / "pictures"
-    lines = SAMPLE.read_text(encoding="utf-8").splitlines(keepends=True)
-    few.write_text("".join(lines[:40]), encoding="utf-8")
+    folder = tmp_path / "pictures"
     folder.mkdir()
-    monkeypatch.setattr(output, "SAMPLE", few)
+    monkeypatch.setattr(output, "SAMPLE", write_short_sample(tmp_path / "few", 39))
     told = list(output.make_pictures(folder))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)

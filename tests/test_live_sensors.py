@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_sensors import alone, beginning, error, follow, frames, two_sensors, views
+from live_sensors import alone, error, first_frames, follow, frames, two_sensors, views
 from live_session import (
     SAMPLE,
     Sender,
@@ -81,7 +81,7 @@ def test_who_comes_too_late_is_told() -> None:
 def test_followed_by_both_is_truer_than_by_either() -> None:
     long = views(200, 60.0)
     found = align(*(view.pair.take for view in long))
-    both = beginning(long, 90)
+    both = first_frames(long, 90)
     pairs = [view.pair for view in both]
     single = [error(alone(pair.take), pair.truth, pair.take) for pair in pairs]
     fused = error(follow(both, found), pairs[0].truth, pairs[0].take)
@@ -182,7 +182,7 @@ def test_who_leaves_the_first_sensor_goes_on_by_the_second() -> None:
     """In the first one's frame and by its clock, as the same person."""
     long = views(4)
     found = align(*(view.pair.take for view in long))
-    both = beginning(long, 120)
+    both = first_frames(long, 120)
     what = replace(config(source=("-", UDP), height=1.7), skeleton="kinect_v2")
     session, poses = Session(what), []
     assert session.sensors is not None

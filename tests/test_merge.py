@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from live_sensors import beginning, error
+from live_sensors import error, first_frames
 from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
@@ -48,7 +48,7 @@ def session(
     views = simulate_session(
         "basic", "walk", sensors=sensors, degrees=degrees, seed=seed
     )
-    views = beginning(views, FRAMES)
+    views = first_frames(views, FRAMES)
     takes = [
         replace(view.pair.take, source=f"sensor{k}.csv")
         for k, view in enumerate(views, start=1)

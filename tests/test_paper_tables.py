@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from real_data import DATA, paired, recorded
+from short_takes import beginning
 
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.characters.arrays import Array
@@ -34,17 +35,9 @@ def short_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     performed = trial.performed_by
 
     def short(*who: Any, **how: Any) -> list[PairedTake]:
-        return [_beginning(pair, 120) for pair in performed(*who, **how)]
+        return [beginning(pair, 120) for pair in performed(*who, **how)]
 
     monkeypatch.setattr(trial, "performed_by", short)
-
-
-def _beginning(pair: PairedTake, count: int) -> PairedTake:
-    take = pair.take
-    few = [array[:count] for array in (take.time, take.positions, take.state)]
-    return replace(
-        pair, take=Take(*few, take.skeleton, take.source), truth=pair.truth[:count]
-    )
 
 
 def test_a_spread_is_that_of_closed_forms_take_by_take() -> None:

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from real_data import PAIRS, paired
+from short_takes import beginning
 
 from kinefilter import CleanConfig, Cleaner, InputError, clean
-from kinefilter.characters import KINECT_V1, Take
+from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import CorrectorChain, LocalPCA
 from kinefilter.pipeline.correct.posture_space import EnergyWeights
@@ -33,14 +34,6 @@ from kinefilter.scenes.sensor import sample_take
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 
 ROOT = Path(__file__).parents[1]
-
-
-def beginning(pair: PairedTake, count: int = 60) -> PairedTake:
-    take = pair.take
-    few = [array[:count] for array in (take.time, take.positions, take.state)]
-    return replace(
-        pair, take=Take(*few, take.skeleton, take.source), truth=pair.truth[:count]
-    )
 
 
 @pytest.fixture(scope="module")

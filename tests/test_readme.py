@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from short_sample import write_short_sample
+from short_takes import write_short_sample
 from viewing import ended, viewing
 
 from kinefilter.characters import KINECT_V1

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Browser
-from live_sensors import beginning
+from live_sensors import first_frames
 from real_data import DATA
 
 from kinefilter import CleanConfig, clean_session, read_take
@@ -35,7 +35,7 @@ FRAMES = 150  # of each take
 def views() -> list[SimulatedView]:
     sensors = ("v2", "v1")
     seen = simulate_session("basic", "walk", sensors=sensors, degrees=90.0, seed=3)
-    return beginning(seen, FRAMES)
+    return first_frames(seen, FRAMES)
 
 
 @pytest.fixture(scope="module")

@@ -248,8 +248,7 @@ def test_other_frame_rates_stand_as_still(fps: float) -> None:
     act = perform("walk", BODY, seed=1, fps=fps)
     result = _cleaned(act.time, act.positions)
     assert result.clip.contacts.any()
-    # A leg that is too short draws its foot along where the other takes over.
-    assert _standing_toes_move(result) < 5e-3
+    assert _standing_toes_move(result) < 2e-3
 
 
 @pytest.mark.parametrize("frames", [2, 3, 5])
@@ -262,7 +261,7 @@ def test_a_few_frames_have_contacts_too(frames: int) -> None:
 def test_a_second_without_the_person_is_bridged(walk: Motion) -> None:
     path = walk.positions.copy()
     path[60:90] = np.nan
-    assert _standing_toes_move(_cleaned(walk.time, path)) < 5e-3
+    assert _standing_toes_move(_cleaned(walk.time, path)) < 2e-3
 
 
 @pytest.mark.parametrize("part", ["Ankle", "Foot", "Ankle Foot", "Knee Ankle Foot"])

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import viser
 from conftest import MakeClip
-from short_sample import write_short_sample
+from short_takes import write_short_sample
 from viewing import ended, viewing
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect

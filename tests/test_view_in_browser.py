@@ -18,7 +18,7 @@ import pytest
 import viser
 from browser import Browser
 from numpy.typing import NDArray
-from short_sample import write_short_sample
+from short_takes import write_short_sample
 from viewing import viewing
 
 from kinefilter import CleanConfig, Cleaner, clean, clean_session, read_take

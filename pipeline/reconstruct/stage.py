@@ -49,7 +49,7 @@ class Reconstruct(Stage):
         time = float(draft.time)
         draft.filled, draft.hidden = self._tracker.step(measured, hidden, time)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Fill the hidden joints of a take."""
         if self._others is None:
             self._others = [read_take(file) for file in self._files]

@@ -52,7 +52,7 @@ class _Aim(Stage):
             mean.elapsed = draft.elapsed
         self._aim_unpinned(draft, self._chains, self._means)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Aim in a take."""
         filters = [partial(_smoothed, draft.time, cutoff) for cutoff in self.cutoffs]
         self._aim_unpinned(draft, self.chains(draft.body), filters)

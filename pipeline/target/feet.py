@@ -69,8 +69,8 @@ def find_stance(
 
     A foot is planted while its ankle rests and is no higher than the other. Viterbi's
     algorithm finds the most probable sequence of planted and stepping frames; every
-    change has a cost, which makes it a hysteresis that looks ahead. Whoever
-    does not jump mostly stands on a foot.
+    change has a cost, which makes it a hysteresis that looks ahead. Between two
+    stances, one foot hands the body over to the other.
     """
     ankles, _ = ankles_and_toes(skeleton)
     weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
@@ -123,8 +123,8 @@ class StanceTracker:
 
     def __init__(self) -> None:
         self._paths: Array | None = None
-        self._toes: Array | None = None
         self._places, self._lifted = np.zeros((2, 3)), np.zeros(2)
+        self._toes = np.full((2, 3), np.nan)
         self._lead = np.full(2, _SWITCH)
         self._stands = np.ones(2, dtype=np.bool_)
 
@@ -156,8 +156,8 @@ class StanceTracker:
         To be called after ``step``. Toe positions [m], shape (2, 3), have the floor at
         y = 0; ``soles`` is the height of toes that rest on it [m], shape (2,).
         """
-        before, self._toes = toes if self._toes is None else self._toes, toes.copy()
-        speed = np.linalg.norm((toes - before)[:, [0, 2]], axis=1) / dt
+        speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
+        self._toes = toes.copy()
         slides = ~self._stands & (speed > _SLIDE_SPEED)
         most = _CLEARANCE / _LIFT_TIME * dt
         needed = np.where(slides, _CLEARANCE, 0.0)
@@ -187,10 +187,10 @@ def _handed_over(
 ) -> Flags:
     """Return stances extended so that each foot hands the body over to the other.
 
-    Whoever does not jump always stands on a foot. Between a stance of one foot and the
-    next of the other, the first bears until the second does, where their toes are
-    nearest to these places. No foot bears farther than ``_AT_REST`` from its place, nor
-    where less than a step (``_STEP``) of its own would remain.
+    People who do not jump always have a foot on the floor. Between a stance of one foot
+    and the next of the other, the first bears until the second does, where their toes
+    are nearest to these places. No foot bears farther than ``_AT_REST`` from its place,
+    nor where less than a step (``_STEP``) of its own would remain.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -223,19 +223,19 @@ def _hand_over(
     before, after, other = gap.start - 1, gap.stop, 1 - foot
     around = time[before] - _STEP, time[after] + _STEP
     earliest, latest = np.searchsorted(time, around)
-    lands = time[after:latest][stands[after:latest, foot]].min(initial=np.inf)
-    rose = time[earliest:after][stands[earliest:after, other]].max(initial=-np.inf)
-    leaves = np.linalg.norm(paths[gap, foot] - paths[before, foot], axis=1)
-    nears = np.linalg.norm(paths[gap, other] - paths[after, other], axis=1)
-    bears = (leaves < _AT_REST) & (time[gap] <= lands - _STEP + _ROUNDING)
-    takes = (nears < _AT_REST) & (time[gap] >= rose + _STEP - _ROUNDING)
+    again = time[after:latest][stands[after:latest, foot]].min(initial=np.inf)
+    left = time[earliest:after][stands[earliest:after, other]].max(initial=-np.inf)
+    moved = np.linalg.norm(paths[gap, foot] - paths[before, foot], axis=1)
+    to_go = np.linalg.norm(paths[gap, other] - paths[after, other], axis=1)
+    bears = (moved < _AT_REST) & (time[gap] <= again - _STEP + _ROUNDING)
+    landed = (to_go < _AT_REST) & (time[gap] >= left + _STEP - _ROUNDING)
     bears = np.logical_and.accumulate(bears)
-    takes = np.logical_and.accumulate(takes[::-1])[::-1]
-    cost = np.zeros(len(leaves) + 1)  # of the hand-over before each frame, or after all
-    cost[1:] += np.cumsum(np.where(bears, leaves, _AT_REST))
-    cost[:-1] += np.cumsum(np.where(takes, nears, _AT_REST)[::-1])[::-1]
-    k, best = int(cost.argmin()), np.zeros((len(leaves), 2), dtype=np.bool_)
-    best[:k, foot], best[k:, other] = bears[:k], takes[k:]
+    landed = np.logical_and.accumulate(landed[::-1])[::-1]
+    cost = np.zeros(len(moved) + 1)  # of the hand-over before each frame, or after all
+    cost[1:] += np.cumsum(np.where(bears, moved, _AT_REST))
+    cost[:-1] += np.cumsum(np.where(landed, to_go, _AT_REST)[::-1])[::-1]
+    k, best = int(cost.argmin()), np.zeros((len(moved), 2), dtype=np.bool_)
+    best[:k, foot], best[k:, other] = bears[:k], landed[k:]
     return float(cost[k]), best
 
 

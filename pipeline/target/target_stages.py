@@ -61,7 +61,7 @@ class Upright(Stage):
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.tilt is not None
 
-    def start(self, body: Body) -> None:  # noqa: ARG002
+    def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._recent: deque[Array] = deque(maxlen=_WINDOW)
         self._frames, self._turn = 0, Turn()
@@ -81,7 +81,7 @@ class Upright(Stage):
                     self._turn = turn
         self._apply(draft)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Turn a take."""
         if not self._given:
             turn = draft.unedited.done.turn if draft.unedited else None
@@ -109,7 +109,7 @@ class Level(Stage):
         draft.tilt = self._tilt or 0.0
         draft.positions = leveled(draft.positions, draft.tilt)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Find the planted feet and from them the tilt, and level the take."""
         parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
         stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
@@ -139,7 +139,7 @@ class Smooth(Stage):
             frame = draft.positions, draft.reliability, draft.geometry, draft.time
             draft.positions = self._filter.step(Observation(*frame)).positions
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Smooth a take."""
         if self._cutoff > 0.0:
             weights = np.maximum(draft.weights, _LEAST_WEIGHT)
@@ -190,7 +190,7 @@ class Floor(Stage):
         draft.floor = self._height or 0.0
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Find the floor under the feet of a take, unless its height was given."""
         known = draft.unedited.planted.floor if draft.unedited else self._given
         draft.floor = floor_height(*_feet(draft)) if known is None else known
@@ -237,7 +237,7 @@ class Feet(Stage):
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Hold and lift the feet of a take."""
         stands, heels = draft.stands, np.zeros_like(draft.stands)
         if self._feet != "auto":
@@ -277,7 +277,7 @@ class Bones(Stage):
         there = self._bones.project(draft.positions[None], firmness)
         draft.positions = put_on_floor(there, draft.body)[0]
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Restore the lengths of a take without making it less smooth.
 
         The moves that restore the lengths tremble with the noise of neighboring joints.
@@ -286,7 +286,9 @@ class Bones(Stage):
         body, weights = draft.body, draft.bone_weights
         positions, bones = put_on_floor(draft.positions, body), BoneLengths(body)
         moved = bones.project(positions, weights) - positions
-        moved = smooth(draft.time, moved, np.ones(weights.shape), cutoff=_BONES_CUTOFF)
+        # A foot that stands is not drawn along by the step before or after.
+        firm = np.maximum(weights, 1.0)
+        moved = smooth(draft.time, moved, firm, cutoff=_BONES_CUTOFF)
         there = positions + moved
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
@@ -306,7 +308,7 @@ class Orient(Stage):
         joints = draft.positions, draft.body, draft.twist
         draft.rotations = rotations_from_positions(*joints)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:  # noqa: ARG002
+    def whole(self, draft: Draft, progress: Progress) -> None:
         """Orient the segments of a take, continuously over time."""
         twist, positions, body = draft.twist, draft.positions, draft.body
         if twist is not None:
