@@ -37,6 +37,9 @@ _SOFT_FLESH = {"solref": [0.1, 1.0], "solimp": [0.1, 0.9, 0.03, 0.5, 2.0]}
 # stops a part within a tenth of a second. Without both, failed takes diverge.
 _ARMATURE = 0.003  # kg m^2
 _PASSIVE_DAMPING = 10.0  # 1/s
+# A pelvis is one bone, although a Kinect sees its hips move. A leg that is pulled back
+# and forth must not whirl the short lever that carries it.
+_PELVIS_DAMPING = 100.0  # 1/s
 # Turning a segment about its axis also turns its descendants, which lie at an angle:
 # the gains of the torque are for this share of its inertia across the axis. A guess.
 _TWIST_INERTIA = 0.1
@@ -158,7 +161,10 @@ def _add_firm_flesh(geom: mujoco.MjsGeom, number: int, count: int) -> None:
 def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
     skeleton, root = body.skeleton, body.skeleton.root
     offsets = to_mujoco(body.rest_offsets)
-    swing = _swing_inertias(body)
+    damping = _PASSIVE_DAMPING * _swing_inertias(body)
+    for hip in skeleton.hips:
+        leg = float(body.masses[skeleton.descendants(int(hip))].sum())
+        damping[hip] += _PELVIS_DAMPING * leg * body.lengths[hip] ** 2
     parts: dict[int, mujoco.MjsBody] = {}
     for j in skeleton.order:
         name, p = skeleton.joints[j], skeleton.parents[j]
@@ -181,7 +187,7 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
                 range=[0.0, np.degrees(joint_range(name))],
                 solref_limit=_HARD["solref"],
                 solimp_limit=_HARD["solimp"],
-                damping=[_PASSIVE_DAMPING * swing[j], 0.0, 0.0],
+                damping=[damping[j], 0.0, 0.0],
             )
             shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE}
             shape["fromto"] = [0.0, 0.0, 0.0, *offsets[j]]

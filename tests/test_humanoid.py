@@ -19,6 +19,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.anthropometry import joint_masses, joint_range
 from kinefilter.characters.humanoid import (
+    PULLS,
     build_humanoid,
     from_mujoco,
     to_mujoco,
@@ -222,3 +223,15 @@ def test_no_joint_of_a_clip_leaves_its_range(motion: str, seed: int) -> None:
     bend = np.linalg.norm(rotation_vector(relative), axis=-1).max(axis=0)
     most = [joint_range(clip.skeleton.joints[j]) for j in ends]
     assert np.degrees(bend - most).max() < 1.5
+
+
+def test_a_leg_does_not_whirl_the_hip_that_carries_it() -> None:
+    model = build_humanoid(standard_body(KINECT_V1)).compile()
+    model.opt.gravity[:] = 0.0
+    model.opt.disableactuator = 1 << PULLS
+    data = mujoco.MjData(model)
+    hip = int(model.joint("HipLeft").dofadr[0])
+    data.qvel[hip + 2] = 40.0  # rad/s
+    while data.time < 0.1:
+        mujoco.mj_step(model, data)
+    assert np.linalg.norm(data.qvel[hip : hip + 3]) < 2.0

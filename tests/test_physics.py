@@ -387,9 +387,6 @@ def test_a_shank_that_the_tracker_turned_upwards_comes_down_again() -> None:
     take = read_take(next(TAKES.rglob("m03_s06_e02_inc_failure.csv*")))
     found = clean(take)
     ankle = take.skeleton.index("AnkleRight")
-    away = np.linalg.norm(found.clip.positions - found.target, axis=2)[:, ankle]
-    longest = max(
-        len(run) for run in "".join("01"[int(d > 0.3)] for d in away).split("0")
-    )
-    assert longest <= 4
+    away = np.linalg.norm(found.clip.positions - found.target, axis=2)
+    assert away[:, ankle].max() < 0.25
     assert found.stages["physics"].float_mm < 5.0

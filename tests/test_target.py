@@ -23,7 +23,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.metrics import bone_length_cv, lowest_point
+from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, planted_feet
@@ -35,6 +35,7 @@ from kinefilter.pipeline.target.target_stages import (
     Orient,
     Smooth,
 )
+from kinefilter.retarget import BoneLengths
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -214,6 +215,24 @@ def test_arguments_are_not_modified(kick: Motion) -> None:
     after = (kick.time, positions, confidence, contacts)
     for array, copy in zip(after, before, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_live_bones_do_not_tremble_with_the_confidence_in_joints() -> None:
+    """Which joints have to move for the lengths changes from frame to frame."""
+    rng, bones, count = np.random.default_rng(0), Bones(), 60
+    seen, time = 1.05 * BODY.rest_positions, np.arange(count) / 30.0
+    weights = rng.uniform(0.0, 1.0, (count, len(KINECT_V1)))
+    alone = BoneLengths(BODY).project(np.tile(seen, (count, 1, 1)), weights)
+    bones.start(BODY)
+    found = []
+    for now, firmness in zip(time, weights, strict=True):
+        state = np.full(len(KINECT_V1), State.TRACKED, dtype=np.uint8)
+        draft = Draft(KINECT_V1, now, seen, state)
+        draft.positions, draft.body, draft.bone_weights = seen, BODY, firmness
+        bones.step(draft)
+        found.append(draft.positions)
+    assert bone_length_cv(np.array(found), BODY) < 1e-5
+    assert jitter(time, np.array(found)) < 0.8 * jitter(time, alone)
 
 
 # Takes as they come, from the take to the clip, where every warning is an error

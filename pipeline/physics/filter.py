@@ -20,6 +20,11 @@ from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
+# Where a character was reset, from when on it was lost, and how soon the clip has its
+# target instead. Guesses.
+_LOST = 0.1  # m of a joint from its target
+_LONGEST_LOST = 1.0  # s
+_BLEND = 0.2  # s
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
@@ -163,8 +168,30 @@ class _Cue:
         self._turns[own], self._roots[own] = character.rotations, character.root
         self._props.record(own)
 
+    def _bridge_resets(self) -> None:
+        """Blend into the target where the character was lost before a reset.
+
+        A simulation about to be reset thrashes, and would jump from there.
+        """
+        person, skeleton = self._person, self.character.body.skeleton
+        for stop in np.flatnonzero(self._trace.reset):
+            start = np.searchsorted(person.time, person.time[stop] - _LONGEST_LOST)
+            there = slice(int(start), int(stop))
+            pose = self._turns[there], self._roots[there]
+            joints = positions_from_rotations(*pose, self.character.body)
+            away = np.linalg.norm(joints - person.positions[there], axis=-1)
+            followed = np.flatnonzero(away.max(axis=-1) < _LOST)
+            first = there.start + (followed[-1] if len(followed) else 0)
+            lost = slice(first, there.stop)
+            share = (person.time[lost] - person.time[first]) / _BLEND
+            share = np.minimum(share, 1.0)[:, None]
+            wanted = person.rotations[lost], person.positions[lost, skeleton.root]
+            self._turns[lost] = slerp(self._turns[lost], wanted[0], share)
+            self._roots[lost] += share * (wanted[1] - self._roots[lost])
+
     def result(self) -> PhysicsResult:
-        """Return what was recorded."""
+        """Return what was recorded; before resets, the target."""
+        self._bridge_resets()
         joints = np.empty_like(self._person.positions)
         for some in chunks(len(joints), _CHUNK):
             pose = self._turns[some], self._roots[some]

@@ -270,11 +270,17 @@ class Bones(Stage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._bones = BoneLengths(body)
+        self._moved: Array | None = None
 
     def step(self, draft: Draft) -> None:
-        """Restore the lengths of the next frame."""
-        firmness = draft.bone_weights[None]
-        there = self._bones.project(draft.positions[None], firmness)
+        """Restore the lengths of the next frame, as for a take."""
+        positions, weights = draft.positions[None], draft.bone_weights[None]
+        moved = self._bones.project(positions, weights) - positions
+        if self._moved is not None:
+            share = 1.0 - np.exp(-2.0 * np.pi * _BONES_CUTOFF * draft.elapsed)
+            moved = self._moved + share * (moved - self._moved)
+        self._moved = moved
+        there = self._bones.project(positions + moved, weights)
         draft.positions = put_on_floor(there, draft.body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
