@@ -20,11 +20,11 @@ from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
-# Where a character was reset, from when on it was lost, and how soon the clip has its
-# target instead. Guesses.
-_LOST = 0.1  # m of a joint from its target
+# Guesses. A character that was reset had been lost since its joints were last this near
+# to their targets, but no longer than this; it takes some time to blend into them.
+_FOLLOWED = 0.1  # m
 _LONGEST_LOST = 1.0  # s
-_BLEND = 0.2  # s
+_BLENDING_TIME = 0.2  # s
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
@@ -40,7 +40,8 @@ class PhysicsTrace:
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
-    or a limb was stuck at the end of its joint's range (``stuck_limbs``)."""
+    or a limb was stuck at the end of its joint's range (``stuck_limbs``). The motion
+    blends into the target before that; the forces are still those of the simulation."""
 
     @property
     def status(self) -> str:
@@ -171,7 +172,7 @@ class _Cue:
     def _bridge_resets(self) -> None:
         """Blend into the target where the character was lost before a reset.
 
-        A simulation about to be reset thrashes, and would jump from there.
+        Otherwise its limbs thrash there, and jump when it is put onto the target.
         """
         person, skeleton = self._person, self.character.body.skeleton
         for stop in np.flatnonzero(self._trace.reset):
@@ -180,17 +181,17 @@ class _Cue:
             pose = self._turns[there], self._roots[there]
             joints = positions_from_rotations(*pose, self.character.body)
             away = np.linalg.norm(joints - person.positions[there], axis=-1)
-            followed = np.flatnonzero(away.max(axis=-1) < _LOST)
+            followed = np.flatnonzero(away.max(axis=-1) < _FOLLOWED)
             first = there.start + (followed[-1] if len(followed) else 0)
             lost = slice(first, there.stop)
-            share = (person.time[lost] - person.time[first]) / _BLEND
+            share = (person.time[lost] - person.time[first]) / _BLENDING_TIME
             share = np.minimum(share, 1.0)[:, None]
             wanted = person.rotations[lost], person.positions[lost, skeleton.root]
             self._turns[lost] = slerp(self._turns[lost], wanted[0], share)
             self._roots[lost] += share * (wanted[1] - self._roots[lost])
 
     def result(self) -> PhysicsResult:
-        """Return what was recorded; before resets, the target."""
+        """Return what was recorded, without the thrashing before resets."""
         self._bridge_resets()
         joints = np.empty_like(self._person.positions)
         for some in chunks(len(joints), _CHUNK):
