@@ -388,5 +388,5 @@ def test_a_shank_that_the_tracker_turned_upwards_comes_down_again() -> None:
     found = clean(take)
     ankle = take.skeleton.index("AnkleRight")
     away = np.linalg.norm(found.clip.positions - found.target, axis=2)
-    assert away[:, ankle].max() < 0.25
+    assert away[:, ankle].max() < 0.1
     assert found.stages["physics"].float_mm < 5.0

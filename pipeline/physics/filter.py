@@ -21,7 +21,7 @@ from .scene_props import SceneProps
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 # Guesses. A character that was reset had been lost since its joints were last this near
-# to their targets, but no longer than this; it takes some time to blend into them.
+# to their targets, but no longer than this; before that, the clip blends into them.
 _FOLLOWED = 0.1  # m
 _LONGEST_LOST = 1.0  # s
 _BLENDING_TIME = 0.2  # s
@@ -172,23 +172,21 @@ class _Cue:
     def _bridge_resets(self) -> None:
         """Blend into the target where the character was lost before a reset.
 
-        Otherwise its limbs thrash there, and jump when it is put onto the target.
+        Otherwise limbs thrash there, and jump when it is put onto the target.
         """
-        person, skeleton = self._person, self.character.body.skeleton
+        person, root = self._person, self.character.body.skeleton.root
         for stop in np.flatnonzero(self._trace.reset):
-            start = np.searchsorted(person.time, person.time[stop] - _LONGEST_LOST)
-            there = slice(int(start), int(stop))
-            pose = self._turns[there], self._roots[there]
-            joints = positions_from_rotations(*pose, self.character.body)
-            away = np.linalg.norm(joints - person.positions[there], axis=-1)
-            followed = np.flatnonzero(away.max(axis=-1) < _FOLLOWED)
-            first = there.start + (followed[-1] if len(followed) else 0)
-            lost = slice(first, there.stop)
-            share = (person.time[lost] - person.time[first]) / _BLENDING_TIME
-            share = np.minimum(share, 1.0)[:, None]
-            wanted = person.rotations[lost], person.positions[lost, skeleton.root]
-            self._turns[lost] = slerp(self._turns[lost], wanted[0], share)
-            self._roots[lost] += share * (wanted[1] - self._roots[lost])
+            latest = person.time[stop] - _LONGEST_LOST
+            start = np.searchsorted(person.time, latest - _BLENDING_TIME)
+            before = slice(int(start), int(stop))
+            time, targets = person.time[before], person.positions[before]
+            turns, roots = self._turns[before], self._roots[before]
+            joints = positions_from_rotations(turns, roots, self.character.body)
+            away = np.linalg.norm(joints - targets, axis=-1).max(axis=-1)
+            lost = max([latest, *time[away < _FOLLOWED][-1:]])
+            share = np.clip(1.0 + (time - lost) / _BLENDING_TIME, 0.0, 1.0)[:, None]
+            self._turns[before] = slerp(turns, person.rotations[before], share)
+            roots += share * (targets[:, root] - roots)
 
     def result(self) -> PhysicsResult:
         """Return what was recorded, without the thrashing before resets."""
