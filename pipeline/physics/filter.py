@@ -14,17 +14,13 @@ from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import continuous, slerp
 
+from .lost_limbs import bridge_resets
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
 from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
-# Guesses. A character that was reset had been lost since its joints were last this near
-# to their targets, but no longer than this; before that, the clip blends into them.
-_FOLLOWED = 0.1  # m
-_LONGEST_LOST = 1.0  # s
-_BLENDING_TIME = 0.2  # s
 _CHUNK = 4096  # frames at a time, to bound the memory
 
 
@@ -40,8 +36,8 @@ class PhysicsTrace:
     """Number of points in which the character touches itself or anything else."""
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
-    or a limb was stuck at the end of its joint's range (``stuck_limbs``). The motion
-    blends into the target before that; the forces are still those of the simulation."""
+    or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
+    that the motion is bridged (``lost_limbs``); forces are those of the simulation."""
 
     @property
     def status(self) -> str:
@@ -169,28 +165,12 @@ class _Cue:
         self._turns[own], self._roots[own] = character.rotations, character.root
         self._props.record(own)
 
-    def _bridge_resets(self) -> None:
-        """Blend into the target where the character was lost before a reset.
-
-        Otherwise limbs thrash there, and jump when it is put onto the target.
-        """
-        person, root = self._person, self.character.body.skeleton.root
-        for stop in np.flatnonzero(self._trace.reset):
-            latest = person.time[stop] - _LONGEST_LOST
-            start = np.searchsorted(person.time, latest - _BLENDING_TIME)
-            before = slice(int(start), int(stop))
-            time, targets = person.time[before], person.positions[before]
-            turns, roots = self._turns[before], self._roots[before]
-            joints = positions_from_rotations(turns, roots, self.character.body)
-            away = np.linalg.norm(joints - targets, axis=-1).max(axis=-1)
-            lost = max([latest, *time[away < _FOLLOWED][-1:]])
-            share = np.clip(1.0 + (time - lost) / _BLENDING_TIME, 0.0, 1.0)[:, None]
-            self._turns[before] = slerp(turns, person.rotations[before], share)
-            roots += share * (targets[:, root] - roots)
-
     def result(self) -> PhysicsResult:
         """Return what was recorded, without the thrashing before resets."""
-        self._bridge_resets()
+        person, body = self._person, self.character.body
+        target = person.rotations, person.positions[:, body.skeleton.root]
+        resets = np.flatnonzero(self._trace.reset)
+        bridge_resets(person.time, (self._turns, self._roots), target, resets, body)
         joints = np.empty_like(self._person.positions)
         for some in chunks(len(joints), _CHUNK):
             pose = self._turns[some], self._roots[some]
