@@ -14,9 +14,9 @@ from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import continuous, slerp
 
-from .lost_limbs import bridge_resets
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
+from .resets import bridge_resets
 from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
@@ -37,7 +37,7 @@ class PhysicsTrace:
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
     or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
-    that the motion is bridged (``lost_limbs``); forces are those of the simulation."""
+    that the motion is bridged (``resets``); forces are those of the simulation."""
 
     @property
     def status(self) -> str:
