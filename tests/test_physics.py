@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from known_motions import pulled_through
 from numpy.typing import NDArray
-from real_data import TAKES, recorded
 
-from kinefilter import clean, read_take
 from kinefilter.characters import (
     KINECT_V1,
     Body,
@@ -379,15 +377,3 @@ def test_the_result_turns_with_the_target() -> None:
 
 def _tall() -> Body:
     return standard_body(KINECT_V1, height=1.95)
-
-
-@recorded
-def test_a_limb_that_gets_stuck_neither_thrashes_nor_jumps() -> None:
-    """The tracker turns a shank upwards, where the pull straight down holds it."""
-    take = read_take(next(TAKES.rglob("m03_s06_e02_inc_failure.csv*")))
-    found = clean(take)
-    assert found.trace is not None
-    assert found.trace.reset.any()
-    away = np.linalg.norm(found.clip.positions - found.target, axis=2)
-    assert away.max() < 0.1
-    assert found.stages["physics"].float_mm < 5.0

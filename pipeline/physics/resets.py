@@ -1,7 +1,7 @@
 """What a clip shows where a character was lost before it was reset onto its target.
 
-Lost limbs thrash, and jump when the character is put back. The clip has the target
-there: it may show a posture that nobody takes, but moves as the sensor saw it.
+Lost limbs thrash, and jump when the character is put back. The clip shows the target
+instead: it may be a posture that no body can take, but it moves as the sensor saw it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def bridge_resets(
     Pose, which is changed, and target are rotations, wxyz, (T, J, 4), and positions of
     the root [m], (T, 3), at each time stamp [s]. ``resets`` are frames of resets.
     """
-    for stop in resets:
+    # Between resets in a row there is nothing to blend.
+    for stop in resets[np.diff(resets, prepend=-2) > 1]:
         earliest = time[stop] - _LONGEST_LOST
         start = int(np.searchsorted(time, earliest - _BLENDING_TIME))
         before = slice(start, int(stop))

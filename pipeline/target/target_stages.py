@@ -273,7 +273,7 @@ class Bones(Stage):
         self._moved: Array | None = None
 
     def step(self, draft: Draft) -> None:
-        """Restore the lengths of the next frame, as for a take."""
+        """Restore the lengths of the next frame; the moves are smoothed here, too."""
         positions, weights = draft.positions[None], draft.bone_weights[None]
         moved = self._bones.project(positions, weights) - positions
         if self._moved is not None:

@@ -1,0 +1,83 @@
+"""Limbs that the simulation loses, and what the clip shows until it is reset."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from known_motions import BODY, Array, stamps, standing
+from real_data import TAKES, recorded
+
+from kinefilter import Cleaner, clean, read_take
+from kinefilter.characters import Take, positions_from_rotations
+from kinefilter.characters.rotations import IDENTITY, about_x, about_z
+from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.physics.resets import bridge_resets
+
+ROOT = BODY.skeleton.root
+
+
+@pytest.fixture(scope="module")
+def failed() -> Take:
+    """A take whose tracker turns a shank upwards, where its own pull holds it."""
+    return read_take(next(TAKES.rglob("m03_s06_e02_inc_failure.csv*")))
+
+
+@recorded
+def test_a_shank_that_the_tracker_turned_upwards_comes_down_again(failed: Take) -> None:
+    target = Cleaner().without("physics").whole(failed)
+    character, ankle = PulledCharacter(target.body), failed.skeleton.index("AnkleRight")
+    character.start(target.positions[0], target.rotations[0])
+    longest = lasts = 0
+    for k, dt in enumerate(np.diff(failed.time), start=1):
+        character.step(
+            target.positions[k], target.rotations[k], dt, stands=target.stands[k]
+        )
+        away = np.linalg.norm(character.positions - target.positions[k], axis=1)[ankle]
+        lasts = lasts + 1 if away > 0.3 else 0
+        longest = max(longest, lasts)
+    assert longest <= 4
+
+
+@recorded
+def test_a_clip_shows_the_target_where_a_limb_is_stuck(failed: Take) -> None:
+    found = clean(failed)
+    assert found.trace is not None
+    assert found.trace.reset.any()
+    away = np.linalg.norm(found.clip.positions - found.target, axis=2)
+    assert away.max() < 0.1
+    assert found.stages["physics"].float_mm < 5.0
+
+
+def _bridged(resets: list[int], lost: slice) -> tuple[Array, Array]:
+    """Return distances [m] from a target before and after, (T, J), reset in frames."""
+    count, body = 60, BODY
+    roots = standing(count)[:, ROOT] + [0.0, 1.0, 0.0]
+    wanted = np.tile(IDENTITY, (count, len(body.skeleton), 1))
+    turns = wanted.copy()
+    turns[:, body.skeleton.index("ElbowLeft")] = about_x(0.1)  # followed, not exactly
+    turns[lost, body.skeleton.index("WristLeft")] = about_z(2.0)
+    there = positions_from_rotations(wanted, roots, body)
+    before = positions_from_rotations(turns, roots, body) - there
+    own = roots.copy()
+    bridge_resets(stamps(count), (turns, own), (wanted, roots), np.array(resets), body)
+    after = positions_from_rotations(turns, own, body) - there
+    return np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2)
+
+
+def test_only_what_was_lost_is_replaced_and_nothing_after_the_reset() -> None:
+    before, after = _bridged([40], slice(30, 40))
+    assert before[30:40].max() > 0.3
+    assert after[29:40].max() < 1e-9
+    np.testing.assert_allclose(after[:23], before[:23], atol=1e-12)
+    np.testing.assert_allclose(after[40:], before[40:], atol=1e-12)
+
+
+def test_who_was_lost_for_longer_is_replaced_for_a_second() -> None:
+    before, after = _bridged([55], slice(0, 55))
+    assert after[25:55].max() < 1e-9
+    np.testing.assert_allclose(after[:19], before[:19], atol=1e-12)
+
+
+def test_without_a_reset_nothing_changes() -> None:
+    before, after = _bridged([], slice(30, 40))
+    np.testing.assert_array_equal(after, before)
