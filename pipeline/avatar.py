@@ -40,7 +40,7 @@ class Avatar:
 
     Frames pass the same stages as in ``clean``, but without looking ahead: the pose is
     that of the given frame, and a joint in steady motion trails its measurement by less
-    than a centimeter.
+    than 1.5 centimeters.
 
     The person's ``body`` may be ``standard_body(KINECT_V2, height=1.8)``. The person
     starts at the origin of the ``scene``, a name or an MJCF file, facing +z (MuJoCo's

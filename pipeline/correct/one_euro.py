@@ -33,6 +33,11 @@ class OneEuro(Corrector):
     1 / (2 pi beta)."""
     derivative_cutoff: float = 1.0
     """Cutoff of the speed itself [Hz]."""
+    walking_speed: float = np.inf
+    """Speed of the root [m/s] above which it carries other joints along: each is
+    filtered relative to the part of the root's velocity that it shares. Thus the trunk
+    of a walker is smoothed as at rest, and a standing foot is not dragged along.
+    Infinite, as in the paper: nothing is carried."""
 
     def __post_init__(self) -> None:
         self._hold = Hold(self.skeleton)
@@ -61,10 +66,18 @@ class OneEuro(Corrector):
         velocity = np.nan_to_num(change) / step
         share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
-        speed = np.sqrt(np.sum(self._velocity**2, axis=1, keepdims=True))
+        carried = np.where(known, self._carried(), 0.0)
+        speed = np.linalg.norm(self._velocity - carried, axis=1, keepdims=True)
         cutoff = self.min_cutoff + self.beta * speed
-        smooth = last + _newest_share(cutoff, step) * change
+        moved = carried * step
+        smooth = last + moved + _newest_share(cutoff, step) * (change - moved)
         return np.where(known, smooth, positions)
+
+    def _carried(self) -> Array:
+        """Return the part of the root's velocity [m/s] that each joint shares."""
+        root = self._velocity[self.skeleton.root]
+        shared = self._velocity @ root / (root @ root + self.walking_speed**2)
+        return np.clip(shared, 0.0, 1.0)[:, None] * root
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

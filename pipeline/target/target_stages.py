@@ -39,6 +39,8 @@ _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has
 _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
+_BETA = 12.0  # 1/m: rise of the cutoff of live joints with speed
+_WALKING_SPEED = 0.5  # m/s: a faster root carries live joints along
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
 _WINDOW = 64  # frames, two seconds, after which and from which a live turn is found
 _EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is sought before that
@@ -131,7 +133,7 @@ class Smooth(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._filter = OneEuro(body.skeleton)
+        self._filter = OneEuro(body.skeleton, beta=_BETA, walking_speed=_WALKING_SPEED)
 
     def step(self, draft: Draft) -> None:
         """Smooth the next frame."""
