@@ -123,7 +123,7 @@ def test_clean_and_report_measure_the_same_raw_take() -> None:
 
 @recorded
 @pytest.mark.parametrize(
-    "name", ["labanotation/joints.csv", "ui-prmd/m01_s06_e05_inc_failure.csv"]
+    "name", ["labanotation/joints.csv", "ui-prmd/m03_s04_e06_inc_failure.csv"]
 )
 def test_a_recorded_take_is_placed_where_the_pipeline_saw_it(name: str) -> None:
     take = read_take(DATA / name)

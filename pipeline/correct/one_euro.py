@@ -77,7 +77,7 @@ class OneEuro(Corrector):
         """Return the part of the root's velocity [m/s] that each joint shares."""
         root = self._velocity[self.skeleton.root]
         shared = self._velocity @ root / (root @ root + self.walking_speed**2)
-        return np.clip(shared, 0.0, 1.0)[:, None] * root
+        return np.asarray(np.clip(shared, 0.0, 1.0)[:, None] * root)
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

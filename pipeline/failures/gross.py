@@ -18,16 +18,11 @@ from .limb_failures import (
     LIMBS,
     bent_backwards,
     leaps,
-    leftward,
     out_of_range,
     through_head,
 )
+from .sides import swapped_back, swapped_frames
 
-_SPIN = np.radians(120.0)
-_SPIN_TIME = 1.0 / 6.0
-"""Nobody turns the trunk by this angle [rad] in this time [s], which is two revolutions
-a second: figure skaters reach six, dancers two."""
-_REPAIRED = 0.7  # share of jumps that swapping back a stretch may leave. A guess.
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm at an impossible place for less only brushes past it
 _LISTED = 5  # stretches of one kind that are listed one by one; more are counted
@@ -59,7 +54,7 @@ _DISTRUSTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 truth than what correction puts in its place: 27 against 39 cm in 14 recorded clips. A
 limb that jumps may be right before or after it: distrusting it removed real kicks."""
 _REMEDIES = {
-    FailureKind.MIRRORED: "swapped back where that makes the motion continuous",
+    FailureKind.MIRRORED: "swapped back",
     **dict.fromkeys(_DISTRUSTED, "distrusted and inferred from the rest of the body"),
     FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
     **dict.fromkeys(_IMPOSSIBLE_BODY, "removed and filled in from frames around it"),
@@ -121,7 +116,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
     take = without_impossible_bodies(take, found)
-    found += stretches(time, kind.MIRRORED, "body", _mirrored(take))
+    found += stretches(time, kind.MIRRORED, "body", swapped_frames(take))
     take = unmirrored(take, found)  # sides are named as they are once swapped back
     for side in SIDES:
         for limb, what, frames, shortest in (
@@ -168,19 +163,6 @@ def distrust(
     return replace(scores, reliability=reliability, geometry=geometry, term=term)
 
 
-def _mirrored(take: Take) -> Flags:
-    """Return the frames between impossible turns, fewer than half of them, (T,)."""
-    frames = np.zeros(len(take), dtype=bool)
-    left = np.nan_to_num(leftward(take)[:, [0, 2]])
-    lag = max(1, round(_SPIN_TIME * len(take) / (take.time[-1] - take.time[0])))
-    norms = np.maximum(np.linalg.norm(left, axis=1), 1e-9)
-    cosines = np.sum(left[lag:] * left[:-lag], axis=1) / (norms[lag:] * norms[:-lag])
-    # A turn shows in every pair of frames that has it in between.
-    for spin in runs(cosines < np.cos(_SPIN)):
-        frames[(spin.start + spin.stop - 1) // 2 + lag // 2 + 1 :] ^= True
-    return frames if frames.mean() <= 0.5 else ~frames
-
-
 def without_impossible_bodies(take: Take, failures: Iterable[Failure]) -> Take:
     """Return a take with no joints in frames with an impossible body."""
     frames = np.zeros(len(take), dtype=bool)
@@ -194,30 +176,8 @@ def without_impossible_bodies(take: Take, failures: Iterable[Failure]) -> Take:
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take with left and right swapped back where they were mirrored.
-
-    A stretch stays if the body would jump as far either way: more is wrong than sides.
-    """
+    """Return a take with left and right swapped back where they were mirrored."""
     frames = np.zeros(len(take), dtype=bool)
     for failure in failures:
-        if failure.kind is FailureKind.MIRRORED:
-            edges = [
-                (failure.first, failure.first - 1),
-                (failure.last, failure.last + 1),
-            ]
-            edges = [edge for edge in edges if 0 <= edge[1] < len(take)]
-            before = sum(_jump(take, *edge, swap=False) for edge in edges)
-            after = sum(_jump(take, *edge, swap=True) for edge in edges)
-            frames[failure.frames] = after < _REPAIRED * before
-    return take.swapped(frames) if frames.any() else take
-
-
-def _jump(take: Take, inside: int, outside: int, *, swap: bool) -> float:
-    """Return how far joints move between two frames, relative to the root, mean [m]."""
-    places = take.positions[[inside, outside]]
-    frame, other = places - places[:, [take.skeleton.root]]
-    if swap:
-        frame = frame[take.skeleton.mirror]
-    distances = np.linalg.norm(frame - other, axis=1)
-    known = distances[np.isfinite(distances)]
-    return float(known.mean()) if len(known) else 0.0
+        frames[failure.frames] |= failure.kind is FailureKind.MIRRORED
+    return swapped_back(take, frames) if frames.any() else take

@@ -256,7 +256,7 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
         )
     positions = in_world(take, clip)
     if same_stamps(clip, take):
-        _check_made_from(clip, positions)
+        _check_made_from(clip, take)
     return positions
 
 
@@ -294,14 +294,22 @@ def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
     return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
 
 
-def _check_made_from(clip: Clip, measured: Array) -> None:
-    """Raise an InputError if measured joints (T, J, 3) contradict the clip."""
-    beyond = _disagreement(clip, measured)
+def _check_made_from(clip: Clip, take: Take) -> None:
+    """Raise an InputError if a take with the same time stamps contradicts the clip."""
+    beyond = _disagreement(clip, take)
     if np.isnan(beyond).all():
         raise InputError("the take has no joint that the clip was made from")
-    # Cleaning swaps left and right back where the tracker confused them.
-    swapped = _disagreement(clip, measured[:, clip.skeleton.mirror])
-    most = np.minimum(*(np.nan_to_num(b).max(axis=1) for b in (beyond, swapped)))
+    most = np.nan_to_num(beyond).max(axis=1)
+    if (most > _ROUNDING).any():
+        # Edits swap left and right; so does cleaning, and turns whom it swapped.
+        distinct = np.diff(clip.time, prepend=-np.inf) > 0
+        mended = take.at(distinct)
+        mended = unmirrored(mended, find_failures(mended))
+        positions = take.positions.copy()
+        positions[distinct] = mended.positions
+        for other in (take.swapped(), replace(take, positions=positions)):
+            again = np.nan_to_num(_disagreement(clip, other)).max(axis=1)
+            most = np.minimum(most, again)
     wrong = np.flatnonzero(most > _ROUNDING)
     if len(wrong):
         worst = int(most.argmax())
@@ -314,14 +322,14 @@ def _check_made_from(clip: Clip, measured: Array) -> None:
         )
 
 
-def _disagreement(clip: Clip, measured: Array) -> Array:
+def _disagreement(clip: Clip, take: Take) -> Array:
     """Return how far joints are from where the clip allows them to be [m], (T, J).
 
     A joint that correction moved by c and physics by p is c - p to c + p away from its
     measurement. NaN where nothing was measured, and in frames that repeat a time stamp:
     only the first of them was used.
     """
-    moved = np.linalg.norm(clip.positions - measured, axis=2)
+    moved = np.linalg.norm(clip.positions - in_world(take, clip), axis=2)
     beyond = np.abs(moved - clip.moved_by_correction)
     beyond -= np.nan_to_num(clip.moved_by_physics) + _HALF * moved
     beyond[1:][np.diff(clip.time) == 0.0] = np.nan

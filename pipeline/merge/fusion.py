@@ -17,9 +17,10 @@ import numpy as np
 from kinefilter.characters import Skeleton, State
 from kinefilter.characters.arrays import Array, Codes, Flags
 from kinefilter.characters.skeleton import SIDES
+from kinefilter.pipeline.failures.sides import Sides
 from kinefilter.retarget import HeadingFrame, find_yaw
 
-from .sides import Facing, Sides
+from .facing import Facing
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
 # two-kinects; results hardly depend on any but the first two.
