@@ -305,6 +305,14 @@ def test_walkers_are_smoothed_more_and_lag_less_if_their_root_carries_them() -> 
     assert tremble[1] < 0.7 * tremble[0]
 
 
+def test_a_body_that_is_suddenly_elsewhere_is_not_carried_past_it() -> None:
+    positions = np.tile(REST, (60, 1, 1))
+    positions[20:, :, 0] += 1.5
+    result = filtered(OneEuro(KINECT_V1, walking_speed=0.5), positions)
+    assert (result - positions)[20:, :, 0].max() < 1e-3
+    assert np.abs(result - positions)[30:].max() < 0.01
+
+
 def test_joints_that_stay_or_go_the_other_way_are_not_carried() -> None:
     positions = np.tile(REST, (90, 1, 1)) + 0.01 * noise(90, JOINTS)
     path = np.outer(1.5 * stamps(90), [1.0, 0.0, 0.0])

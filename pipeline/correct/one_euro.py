@@ -13,6 +13,7 @@ from .hold import Hold
 from .interface import Correction, Corrector, Observation
 
 _LEAST_STEP = 1e-3  # s: avoids a division by zero at repeated time stamps
+_TOP_SPEED = 5.0  # m/s: a root that is faster has jumped, and carries nothing. A guess.
 
 
 @dataclass(eq=False, repr=False)
@@ -48,6 +49,7 @@ class OneEuro(Corrector):
         self._hold.start()
         self._time: float | None = None
         self._velocity = np.zeros((len(self.skeleton), 3))
+        self._walk = np.zeros(3)  # velocity of the root, as far as it walks [m/s]
 
     def step(self, observation: Observation) -> Correction:
         """Filter the next frame; time stamps increase, and may start at 0."""
@@ -66,6 +68,9 @@ class OneEuro(Corrector):
         velocity = np.nan_to_num(change) / step
         share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
+        root = velocity[self.skeleton.root]
+        walks = root if np.linalg.norm(root) < _TOP_SPEED else 0.0
+        self._walk = self._walk + share * (walks - self._walk)
         carried = np.where(known, self._carried(), 0.0)
         speed = np.linalg.norm(self._velocity - carried, axis=1, keepdims=True)
         cutoff = self.min_cutoff + self.beta * speed
@@ -75,9 +80,9 @@ class OneEuro(Corrector):
 
     def _carried(self) -> Array:
         """Return the part of the root's velocity [m/s] that each joint shares."""
-        root = self._velocity[self.skeleton.root]
-        shared = self._velocity @ root / (root @ root + self.walking_speed**2)
-        return np.asarray(np.clip(shared, 0.0, 1.0)[:, None] * root)
+        walk = self._walk
+        shared = self._velocity @ walk / (walk @ walk + self.walking_speed**2)
+        return np.asarray(np.clip(shared, 0.0, 1.0)[:, None] * walk)
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

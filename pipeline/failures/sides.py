@@ -171,7 +171,7 @@ def _distance(points: Array, others: Array, weights: Array) -> float:
 
 def swapped_frames(take: Take) -> Flags:
     """Return the frames of a take in which left and right are swapped, (T,)."""
-    velocity = _root_velocity(take.time, take.positions[:, take.skeleton.root])
+    velocity = root_velocity(take.time, take.positions[:, take.skeleton.root])
     frames = zip(take.positions, _weights(take.state), velocity, strict=True)
     sides = Sides(take.skeleton, 1)
     return sides.whole(tuple(row[None] for row in frame) for frame in frames)[:, 0]
@@ -181,7 +181,7 @@ def _weights(state: Codes) -> Array:
     return np.where(state == State.TRACKED, 1.0, _LEAST_WEIGHT)
 
 
-def _root_velocity(time: Array, root: Array) -> Array:
+def root_velocity(time: Array, root: Array) -> Array:
     """Return how fast the root (T, 3) moves, over two thirds of a second [m/s]."""
     known = np.isfinite(root[:, 0])
     if not known.any():

@@ -22,6 +22,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
+from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
@@ -172,11 +173,12 @@ def read_views(session: Session) -> Views:
         )
     rows = _matched(session, first, second)
     takes = {"A": (first, rows[0]), "B": (second, rows[1])}
-    turned = {sensor: _turned(take, rows) for sensor, (take, rows) in takes.items()}
+    mended = {sensor: _mended(take) for sensor, (take, _) in takes.items()}
+    turned = {sensor: _turned(mended[sensor], at) for sensor, (_, at) in takes.items()}
     facing = {sensor: float(np.nanmedian(turn)) for sensor, turn in turned.items()}
     sides = "BA" if facing["B"] > facing["A"] + _BESIDE else "AB"
-    (side, at), (front, front_at) = (takes[sensor] for sensor in sides)
-    truth, sure = _seen_in_front(front)
+    (side, at), (_, front_at) = (takes[sensor] for sensor in sides)
+    truth, sure = _seen_in_front(mended[sides[1]])
     faces = turned[sides[1]] < _FACING
     sure = sure[front_at] & faces[:, None]
     return Views(side, at, truth[front_at], sure, sides[0], facing, faces)
@@ -261,6 +263,13 @@ def _matched(session: Session, first: Take, second: Take) -> list[NDArray[np.int
     return [rows[both] for rows in frames]
 
 
+def _mended(take: Take) -> Take:
+    """Return a take with left and right swapped back; times may repeat."""
+    _, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
+    once = take.at(first)
+    return swapped_back(once, swapped_frames(once)).at(frames)
+
+
 def _yaw(positions: Array, skeleton: Skeleton) -> Array:
     return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
 
@@ -303,6 +312,7 @@ def view_pairs(
     """
     for session in over(sessions, "read views", progress):
         side, at, seen, *_, faces = read_views(session)
+        side = _mended(side)
         at, truth = at[faces], np.full_like(side.positions, np.nan)
         truth[at] = _placed(seen[faces], side.positions[at], side.skeleton)
         yield PairedTake(side, truth, session.person, session.name)
