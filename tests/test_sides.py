@@ -12,7 +12,7 @@ from skeletons import every_skeleton
 
 from kinefilter import read_take
 from kinefilter.characters import KINECT_V2, Skeleton, State, Take
-from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
+from kinefilter.pipeline.failures.sides import Sides, swapped_back, swapped_frames
 from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.scenes.library import perform, random_body
 
@@ -45,6 +45,21 @@ def test_who_walks_forward_with_sides_swapped_is_found(skeleton: Skeleton) -> No
 def test_who_walks_backward_is_left_alone(motion: str, seed: int) -> None:
     take = _walk(motion=motion, seed=seed)
     assert not swapped_frames(replace(take, positions=take.positions[::-1])).any()
+
+
+def test_a_whole_take_is_judged_as_frame_by_frame() -> None:
+    rng = np.random.default_rng(3)
+    take = _walk().swapped(slice(50, 110))
+    positions = take.positions + 0.02 * rng.normal(size=take.positions.shape)
+    positions[rng.random(positions.shape[:2]) < 0.1] = np.nan
+    positions[70:75] = np.nan
+    weights = rng.random(positions.shape[:2])
+    velocity = rng.normal(size=(len(take), 3))
+    sides = Sides(KINECT_V2, 1)
+    frames = zip(positions, weights, velocity, strict=True)
+    expected = sides.whole(tuple(row[None] for row in frame) for frame in frames)[:, 0]
+    assert 40 < expected.sum() < 80
+    np.testing.assert_array_equal(sides.of_one(positions, weights, velocity), expected)
 
 
 def test_hidden_arms_or_legs_leave_enough_to_see() -> None:

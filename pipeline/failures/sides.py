@@ -1,4 +1,4 @@
-"""Finds frames in which a sensor has a person's left and right swapped.
+"""Finds frames in which a sensor has left and right swapped, and swaps them back.
 
 A sensor takes people whom it sees from behind for people who face it. It still sees
 where the limbs are, and they show which way a body faces: knees bend forward, elbows
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Codes, Flags
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -27,10 +27,10 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 # s02, s03 and s04 of UI-PRMD.
 _FAR = 0.5  # m; joints farther apart cost no more
 _BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
-_FACING = 0.1  # m of mean distance that such a body costs
-_WALK = 1.0  # share of that which somebody costs who walks backward
+_FACING = 0.1  # m of mean distance: cost of a body that bends the other way
+_WALK = 1.0  # cost of walking backward, relative to that
 _WALKING = 0.4  # m/s of somebody who certainly walks
-_SWAPPED = 0.04  # m of mean distance that each frame with swapped sides costs
+_SWAPPED = 0.04  # m of mean distance: cost of each frame with swapped sides
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
 _LEAST_WEIGHT = 1e-3  # of a joint that is inferred
@@ -69,7 +69,10 @@ class CheapestPath:
     def whole(self, frames: Iterable[tuple[Any, ...]]) -> NDArray[Any]:
         """Return the choice in each frame (T, ...), given the arguments of ``step``."""
         self.start()
-        predecessors = [self.step(*frame)[1] for frame in frames]
+        return self._traced([self.step(*frame)[1] for frame in frames])
+
+    def _traced(self, predecessors: list[NDArray[np.uint16]]) -> NDArray[Any]:
+        """Return the choices on the cheapest path to now (T, ...)."""
         path = [int(self._costs.argmin())]
         for before in predecessors[:0:-1]:
             path.append(int(before[path[-1]]))
@@ -100,8 +103,7 @@ class Sides(CheapestPath):
         ``weights`` tell how much each counts, (S, J), and ``velocity`` is how fast the
         root moves in each sensor, if it is to count [m/s], (S, 3).
         """
-        sure = np.minimum(weights, weights[:, self._mirror])[:, self._paired]
-        as_given, mirrored = seen[:, self._paired], seen[:, self._mirror[self._paired]]
+        as_given, mirrored, sure = self._both(seen, weights)
         costs = self._choices @ (_SWAPPED + _FACING * self._facing(seen, velocity))
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
@@ -118,6 +120,32 @@ class Sides(CheapestPath):
             other = _distance(as_given[s], mirrored[k], both)
             costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
         return self._next(ways, costs)
+
+    def of_one(self, seen: Array, weights: Array, velocity: Array) -> Flags:
+        """Return the frames of a single sensor in which sides are swapped, (T,).
+
+        The arguments are those of ``step``, with frames instead of sensors.
+        """
+        as_given, mirrored, sure = self._both(seen, weights)
+        costs = np.zeros((len(seen), 2))
+        costs[:, 1] = _SWAPPED + _FACING * self._facing(seen, velocity)
+        known = ~np.isnan(as_given).all(axis=(1, 2))
+        last = np.maximum.accumulate(np.where(known, np.arange(len(seen)), 0))
+        last = np.concatenate([[0], last[:-1]])
+        both = sure * sure[last]
+        same = _distance(as_given, as_given[last], both)
+        other = _distance(mirrored, as_given[last], both) + _CHANGE
+        ways = _CONTINUITY * np.stack([same, other, other, same], 1).reshape(-1, 2, 2)
+        self.start()
+        return self._traced(
+            [self._next(*frame)[1] for frame in zip(ways, costs, strict=True)]
+        )[:, 0]
+
+    def _both(self, seen: Array, weights: Array) -> tuple[Array, Array, Array]:
+        """Return joints of both sides, the same mirrored, and how much they count."""
+        paired = self._paired
+        sure = np.minimum(weights, weights[:, self._mirror])[:, paired]
+        return seen[:, paired], seen[:, self._mirror[paired]], sure
 
     def _facing(self, seen: Array, velocity: Array | None) -> Array:
         """Return how surely bodies face where their sides say, negative if not, (S,).
@@ -160,25 +188,20 @@ def _direction(yaw: Array) -> Array:
     return np.stack([np.sin(yaw), np.zeros_like(yaw), np.cos(yaw)], axis=-1)
 
 
-def _distance(points: Array, others: Array, weights: Array) -> float:
-    """Return the mean distance between joints present in both [m], 0 without any."""
-    apart = np.minimum(np.linalg.norm(points - others, axis=1), _FAR)
-    known = ~np.isnan(apart)
-    if not known.any():
-        return 0.0
-    return float(np.average(apart[known], weights=weights[known]))
+def _distance(points: Array, others: Array, weights: Array) -> Array:
+    """Return the mean distance between joints [m] (..., K, 3), 0 if none is known."""
+    apart = np.minimum(np.linalg.norm(points - others, axis=-1), _FAR)
+    weights = np.where(np.isnan(apart), 0.0, weights)
+    total = weights.sum(axis=-1)
+    away = (weights * np.nan_to_num(apart)).sum(axis=-1)
+    return np.asarray(away / np.where(total > 0.0, total, 1.0))
 
 
 def swapped_frames(take: Take) -> Flags:
     """Return the frames of a take in which left and right are swapped, (T,)."""
     velocity = root_velocity(take.time, take.positions[:, take.skeleton.root])
-    frames = zip(take.positions, _weights(take.state), velocity, strict=True)
-    sides = Sides(take.skeleton, 1)
-    return sides.whole(tuple(row[None] for row in frame) for frame in frames)[:, 0]
-
-
-def _weights(state: Codes) -> Array:
-    return np.where(state == State.TRACKED, 1.0, _LEAST_WEIGHT)
+    weights = np.where(take.state == State.TRACKED, 1.0, _LEAST_WEIGHT)
+    return Sides(take.skeleton, 1).of_one(take.positions, weights, velocity)
 
 
 def root_velocity(time: Array, root: Array) -> Array:
