@@ -293,12 +293,13 @@ def _steadiest(take: Take, frames: Flags, joints: list[int]) -> Flags:
             away = np.linalg.norm(later[:, others] - expected, axis=2)
             away = np.nan_to_num(np.minimum(away, _FAR)).mean(axis=1)
             saved[now] += sign * away
-    swapped, earliest = frames.copy(), 0
-    for change in np.flatnonzero(np.diff(frames)).tolist():
+    swapped, changes = frames.copy(), np.flatnonzero(np.diff(frames))
+    between = (changes[1:] + changes[:-1]) // 2
+    starts, stops = [0, *between], [*between, last]
+    for change, start, stop in zip(changes.tolist(), starts, stops, strict=False):
         near = _around(take.time, change, _PARTS_APART)
-        near = slice(max(near.start, earliest), min(near.stop, last))
+        near = slice(max(near.start, start), min(near.stop, stop))
         best = near.start + int(np.argmax(saved[near])) if saved[near].size else change
         low, high = sorted((best, change))
         swapped[low + 1 : high + 1] ^= True
-        earliest = best + 1
     return swapped
