@@ -221,10 +221,10 @@ def killed_workers(
         run = begin(command)
         try:
             done, until = 0, time.monotonic() + _ENOUGH
-            while run.poll() != 0:
+            while (code := run.poll()) != 0:
                 assert time.monotonic() < until, "the batch does not end"
-                if run.poll() is not None:
-                    assert disk is not None, run.returncode  # it was full
+                if code is not None:
+                    assert disk is not None, code  # it was full
                     run = begin(command)
                 while run.poll() is None and len(rows_done(out)) <= done:
                     assert time.monotonic() < until, "no take is done any more"
