@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, InputError, State, Take, standard_body
 from kinefilter.pipeline.cleaner import CleanResult
-from kinefilter.pipeline.failures import unmirrored
+from kinefilter.pipeline.failures import FailureKind, unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.look.comparison import (
@@ -23,6 +23,7 @@ from kinefilter.pipeline.look.comparison import (
     same_stamps,
 )
 from kinefilter.pipeline.metrics import METRICS
+from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -109,6 +110,23 @@ def test_exchanged_sides_stay_as_they_were_recorded() -> None:
         result.target - (mended.positions - [0, result.clip.floor, 0]), axis=2
     )
     np.testing.assert_allclose(away, result.clip.moved_by_correction, atol=1e-12)
+
+
+def test_the_take_of_an_inverted_sensor_matches_also_where_a_trunk_was_turned() -> None:
+    take = _seen("squat", 0.0, -0.9)
+    frames = np.arange(len(take)) >= 60
+    frame = HeadingFrame(take.positions[:, 0], np.where(frames, np.radians(120.0), 0.0))
+    posture = frame.unturned.remove(take.positions)
+    turned = replace(take, positions=frame.restore(posture)).swapped(frames)
+    inverted = replace(turned, positions=turned.positions * [-1.0, -1.0, 1.0])
+    result = clean(inverted, QUICK)
+    assert FailureKind.MIRRORED in {failure.kind for failure in result.failures}
+    assert abs(result.clip.roll) > 3.0
+    in_clip_frame(inverted, result.clip)
+    moved = inverted.positions.copy()
+    moved[80:90, 3] += 0.2
+    with pytest.raises(InputError, match="does not match the clip"):
+        in_clip_frame(replace(inverted, positions=moved), result.clip)
 
 
 def test_clean_and_report_measure_the_same_raw_take() -> None:

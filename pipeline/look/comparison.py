@@ -296,6 +296,8 @@ def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
 
 def _check_made_from(clip: Clip, take: Take) -> None:
     """Raise an InputError if a take with the same time stamps contradicts the clip."""
+    take = replace(take, positions=leveled(take.positions, 0.0, clip.roll))
+    clip = replace(clip, roll=0.0)
     beyond = _disagreement(clip, take)
     if np.isnan(beyond).all():
         raise InputError("the take has no joint that the clip was made from")
