@@ -10,6 +10,7 @@ live, the cheapest path so far.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations, product
@@ -33,14 +34,14 @@ _WALKING = 0.4  # m/s of somebody who certainly walks
 _SWAPPED = 0.04  # m of mean distance: cost of each frame with swapped sides
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
-_LEAST_WEIGHT = 1e-3  # of a joint that is inferred
+_LEAST_WEIGHT = 1e-3  # of a joint that is not tracked
 _PARTS_APART = 0.5  # s by which limbs change sides before or after the trunk
-_JUMP = np.radians(20.0)  # rad of turning from a frame to the next that is none
-_EVENLY = 0.25  # s before and after such a jump in which people turn instead
+_JUMP = np.radians(20.0)  # rad from a frame to the next: no turn, the heading jumps
+_EVENLY = 0.25  # s before and after such a jump in which the trunk turns instead
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
 
 
-class CheapestPath:
+class CheapestPath(ABC):
     """Follows which of some choices (N, ...) holds, frame by frame (Viterbi 1967)."""
 
     def __init__(self, choices: NDArray[Any]) -> None:
@@ -51,9 +52,9 @@ class CheapestPath:
         """Reset the state for a new motion."""
         self._costs = np.zeros(len(self._choices))
 
+    @abstractmethod
     def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
         """Return the best choice so far, and what ``whole`` needs to trace back."""
-        raise NotImplementedError
 
     def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
         """Return the best choice, and each choice's predecessor on its cheapest path.
@@ -94,17 +95,14 @@ class Sides(CheapestPath):
         super().start()
         self._last: list[tuple[Array, Array] | None] = [None] * self._choices.shape[1]
 
-    def step(
-        self, seen: Array, weights: Array, velocity: Array | None = None
-    ) -> tuple[Any, NDArray[np.uint16]]:
+    def step(self, seen: Array, weights: Array) -> tuple[Any, NDArray[np.uint16]]:
         """Return which sensors have sides swapped; see ``CheapestPath.step``.
 
-        ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3),
-        ``weights`` tell how much each counts, (S, J), and ``velocity`` is how fast the
-        root moves in each sensor, if it is to count [m/s], (S, 3).
+        ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3), and
+        ``weights`` tell how much each counts, (S, J).
         """
         as_given, mirrored, sure = self._both(seen, weights)
-        costs = self._choices @ (_SWAPPED + _FACING * self._facing(seen, velocity))
+        costs = self._choices @ (_SWAPPED + _FACING * self._facing(seen, np.zeros(3)))
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
             if last is not None:
@@ -124,7 +122,8 @@ class Sides(CheapestPath):
     def of_one(self, seen: Array, weights: Array, velocity: Array) -> Flags:
         """Return the frames of a single sensor in which sides are swapped, (T,).
 
-        The arguments are those of ``step``, with frames instead of sensors.
+        The arguments are those of ``step``, with frames instead of sensors, and how
+        fast the root moves [m/s], (T, 3).
         """
         as_given, mirrored, sure = self._both(seen, weights)
         costs = np.zeros((len(seen), 2))
@@ -147,7 +146,7 @@ class Sides(CheapestPath):
         sure = np.minimum(weights, weights[:, self._mirror])[:, paired]
         return seen[:, paired], seen[:, self._mirror[paired]], sure
 
-    def _facing(self, seen: Array, velocity: Array | None) -> Array:
+    def _facing(self, seen: Array, velocity: Array) -> Array:
         """Return how surely bodies face where their sides say, negative if not, (S,).
 
         The sign of the bends is right in 98 % of the frames of people who walk forward
@@ -171,9 +170,8 @@ class Sides(CheapestPath):
         )
         total = np.nan_to_num(bends).sum(axis=0)
         facing = np.tanh(np.nan_to_num(np.vecdot(total, forward)) / _BEND)
-        if velocity is not None:
-            speed = np.nan_to_num(np.vecdot(velocity, forward))
-            facing += _WALK * np.clip(speed / _WALKING, -1.0, 1.0)
+        speed = np.nan_to_num(np.vecdot(velocity, forward))
+        facing += _WALK * np.clip(speed / _WALKING, -1.0, 1.0)
         return np.asarray(facing * np.clip(np.nan_to_num(upright), 0.0, 1.0))
 
 
@@ -225,14 +223,16 @@ def swapped_back(take: Take, frames: Flags) -> Take:
     sensor shows the trunk of people at its side turned toward itself, so their heading
     jumps where sides change; the trunk turns evenly there, in half a second.
     """
-    skeleton, mirror = take.skeleton, take.skeleton.mirror
+    skeleton, mirrored = take.skeleton, take.swapped()
     swapped = np.repeat(frames[:, None], len(skeleton), axis=1)
     limbs = [_below(skeleton, name) for name in ("Shoulder", "Hip")]
     for joints in limbs:
         swapped[:, joints] = _steadiest(take, frames, joints)[:, None]
-    mirrored = take.positions[:, mirror]
-    positions = np.where(swapped[..., None], mirrored, take.positions)
-    state = np.where(swapped, take.state[:, mirror], take.state)
+    positions = np.where(swapped[..., None], mirrored.positions, take.positions)
+    state = np.where(swapped, mirrored.state, take.state)
+    face = take.face
+    if face is not None:  # nobody has one who is seen from behind
+        face = np.where(frames[:, None], np.nan, face)
     yaw = _yaw(positions, skeleton)
     for foot in skeleton.sides("Foot"):
         behind = swapped[:, foot]
@@ -253,7 +253,6 @@ def swapped_back(take: Take, frames: Flags) -> Take:
     trunk = np.setdiff1d(np.arange(len(skeleton)), np.concatenate(limbs))
     posture = before.remove(positions[turned][:, trunk])
     positions[np.ix_(turned, trunk)] = after.restore(posture)
-    face = take.swapped(frames).face
     return replace(take, positions=positions, state=state, face=face)
 
 
