@@ -79,7 +79,7 @@ def figures_of(session: Session) -> Array:
             cleaner = Cleaner(CleanConfig(method="none"))
             for k, one_of in enumerate((cleaner.without("failures"), cleaner)):
                 distances[k] = apart(one_of.clean(take).clip, merged)
-        rows.append([*backward(take, swapped_frames(take)), *distances])
+        rows.append([*backward(take, swapped_frames(take)[:, 0]), *distances])
     return np.array(rows)
 
 

@@ -5,7 +5,8 @@ where the limbs are, and they show which way a body faces: knees bend forward, e
 backward, hands and head are in front, and people mostly walk forward. So the sides are
 chosen that agree best with that, and with those of other sensors, without joints that
 leap from one side to the other: the cheapest path over all frames (Viterbi 1967), or,
-live, the cheapest path so far.
+live, the cheapest path so far. A single sensor may have arms and legs change sides at
+different times.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -29,16 +30,19 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 _FAR = 0.5  # m; joints farther apart cost no more
 _BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
-_WALK = 1.0  # cost of walking backward, relative to that
+_WALK = 0.85  # cost of walking backward, relative to that
 _WALKING = 0.4  # m/s of somebody who certainly walks
 _SWAPPED = 0.04  # m of mean distance: cost of each frame with swapped sides
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
 _LEAST_WEIGHT = 1e-3  # of a joint that is not tracked
-_PARTS_APART = 0.5  # s by which limbs change sides before or after the trunk
+_STANDING = 0.3  # how much the bends count while somebody stands still
+_APART = 0.1  # cost of each frame in which only arms or only legs are swapped
 _JUMP = np.radians(20.0)  # rad from a frame to the next: no turn, the heading jumps
 _EVENLY = 0.25  # s before and after such a jump in which the trunk turns instead
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
+_LEAP = 3.0  # weight of the distance that they move between twice ``_AROUND``
+_AROUND = 0.1  # s before and after a change
 
 
 class CheapestPath(ABC):
@@ -102,7 +106,7 @@ class Sides(CheapestPath):
         ``weights`` tell how much each counts, (S, J).
         """
         as_given, mirrored, sure = self._both(seen, weights)
-        costs = self._choices @ (_SWAPPED + _FACING * self._facing(seen, np.zeros(3)))
+        costs = self._choices @ (_SWAPPED + _FACING * _facing(seen, self._skeleton)[1])
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
             if last is not None:
@@ -119,60 +123,47 @@ class Sides(CheapestPath):
             costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
         return self._next(ways, costs)
 
-    def of_one(self, seen: Array, weights: Array, velocity: Array) -> Flags:
-        """Return the frames of a single sensor in which sides are swapped, (T,).
-
-        The arguments are those of ``step``, with frames instead of sensors, and how
-        fast the root moves [m/s], (T, 3).
-        """
-        as_given, mirrored, sure = self._both(seen, weights)
-        costs = np.zeros((len(seen), 2))
-        costs[:, 1] = _SWAPPED + _FACING * self._facing(seen, velocity)
-        known = ~np.isnan(as_given).all(axis=(1, 2))
-        last = np.maximum.accumulate(np.where(known, np.arange(len(seen)), 0))
-        last = np.concatenate([[0], last[:-1]])
-        both = sure * sure[last]
-        same = _distance(as_given, as_given[last], both)
-        other = _distance(mirrored, as_given[last], both) + _CHANGE
-        ways = _CONTINUITY * np.stack([same, other, other, same], 1).reshape(-1, 2, 2)
-        self.start()
-        return self._traced(
-            [self._next(*frame)[1] for frame in zip(ways, costs, strict=True)]
-        )[:, 0]
-
     def _both(self, seen: Array, weights: Array) -> tuple[Array, Array, Array]:
         """Return joints of both sides, the same mirrored, and how much they count."""
         paired = self._paired
         sure = np.minimum(weights, weights[:, self._mirror])[:, paired]
         return seen[:, paired], seen[:, self._mirror[paired]], sure
 
-    def _facing(self, seen: Array, velocity: Array) -> Array:
-        """Return how surely bodies face where their sides say, negative if not, (S,).
 
-        The sign of the bends is right in 98 % of the frames of people who walk forward
-        and in 76 % of people who walk backward (p10 to p18 of two-kinects). The farther
-        the trunk leans over, the less counts.
-        """
-        forward = _direction(_yaw(seen, self._skeleton))
-        trunk = seen[:, self._skeleton.girdle] - seen[:, self._skeleton.root]
-        upright = trunk[:, 1] / (np.linalg.norm(trunk, axis=1) + 1e-9)
+class _Precomputed(CheapestPath):
+    """Follows choices (N, ...) of which the costs are known for each frame."""
 
-        def middle(*names: str) -> Array:
-            joints = [joint for name in names for joint in self._skeleton.sides(name)]
-            return np.asarray(seen[:, joints].mean(axis=1))
+    def step(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
+        """Return the best choice so far; the arguments are those of ``_next``."""
+        return self._next(ways, costs)
 
-        head = seen[:, self._skeleton.index("Head")] - seen[:, self._skeleton.girdle]
-        bends = (
-            middle("Knee") - middle("Hip", "Ankle"),
-            middle("Shoulder", "Wrist") - middle("Elbow"),
-            0.5 * (middle("Wrist") - middle("Shoulder")),
-            0.5 * head,
-        )
-        total = np.nan_to_num(bends).sum(axis=0)
-        facing = np.tanh(np.nan_to_num(np.vecdot(total, forward)) / _BEND)
-        speed = np.nan_to_num(np.vecdot(velocity, forward))
-        facing += _WALK * np.clip(speed / _WALKING, -1.0, 1.0)
-        return np.asarray(facing * np.clip(np.nan_to_num(upright), 0.0, 1.0))
+
+def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
+    """Return which way bodies face by their sides, and how surely by how they bend.
+
+    Horizontal unit vectors (N, 3), and numbers in [-1, 1] (N,), negative if they bend
+    the other way. The sign is right in 98 % of the frames of people who walk forward
+    and in 76 % of people who walk backward (p10 to p18 of two-kinects). The farther the
+    trunk leans over, the less counts.
+    """
+    forward = _direction(_yaw(seen, skeleton))
+    trunk = seen[:, skeleton.girdle] - seen[:, skeleton.root]
+    upright = trunk[:, 1] / (np.linalg.norm(trunk, axis=1) + 1e-9)
+
+    def middle(*names: str) -> Array:
+        joints = [joint for name in names for joint in skeleton.sides(name)]
+        return np.asarray(seen[:, joints].mean(axis=1))
+
+    head = seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]
+    bends = (
+        middle("Knee") - middle("Hip", "Ankle"),
+        middle("Shoulder", "Wrist") - middle("Elbow"),
+        0.5 * (middle("Wrist") - middle("Shoulder")),
+        0.5 * head,
+    )
+    total = np.nan_to_num(bends).sum(axis=0)
+    sure = np.tanh(np.nan_to_num(np.vecdot(total, forward)) / _BEND)
+    return forward, np.asarray(sure * np.clip(np.nan_to_num(upright), 0.0, 1.0))
 
 
 def _yaw(positions: Array, skeleton: Skeleton) -> Array:
@@ -196,10 +187,61 @@ def _distance(points: Array, others: Array, weights: Array) -> Array:
 
 
 def swapped_frames(take: Take) -> Flags:
-    """Return the frames of a take in which left and right are swapped, (T,)."""
-    velocity = root_velocity(take.time, take.positions[:, take.skeleton.root])
+    """Return where a take has left and right swapped: trunk and arms, and legs, (T, 2).
+
+    Arms and legs may change sides up to half a second apart. While somebody stands
+    still, a frame tells nothing that the last one did not, so the way a body bends
+    counts less than while it walks.
+    """
+    choices = np.array(list(product((False, True), repeat=2)))
+    costs = np.outer(_costs_of_facing(take), choices.mean(axis=1))
+    costs += _APART * (choices[:, 0] != choices[:, 1])
+    ways = np.zeros((len(take), 4, 4))
+    legs = _below(take.skeleton, "Hip")
+    paired = take.skeleton.mirror != np.arange(len(take.skeleton))
+    rest = np.setdiff1d(np.flatnonzero(paired), legs)
+    for k, joints in enumerate((rest, np.array(legs))):
+        same, other = _costs_of_moving(take, joints)
+        changes = choices[:, None, k] != choices[:, k]
+        ways += np.where(changes, other[:, None, None], same[:, None, None])
+    return _Precomputed(choices).whole(zip(ways, costs, strict=True))
+
+
+def _costs_of_facing(take: Take) -> Array:
+    """Return what it costs that sides are swapped, by which way people face, (T,)."""
+    root = take.positions[:, take.skeleton.root]
+    forward, facing = _facing(take.positions, take.skeleton)
+    velocity = root_velocity(take.time, root) / _WALKING
+    walks = np.linalg.norm(velocity[:, [0, 2]], axis=1).clip(max=1.0)
+    facing *= _STANDING + (1.0 - _STANDING) * walks
+    facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
+    return np.asarray(_SWAPPED + _FACING * facing)
+
+
+def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:
+    """Return what it costs that joints keep or change sides, as they move, (T,).
+
+    A limb may change sides over a few frames, so where it was a tenth of a second
+    before and after each frame counts besides the last frame.
+    """
+    seen, time, count = take.positions, take.time, len(take)
+    mirror = take.skeleton.mirror
     weights = np.where(take.state == State.TRACKED, 1.0, _LEAST_WEIGHT)
-    return Sides(take.skeleton, 1).of_one(take.positions, weights, velocity)
+    sure = np.minimum(weights, weights[:, mirror])[:, joints]
+    now, known = np.arange(count), ~np.isnan(seen).all(axis=(1, 2))
+    last = np.maximum.accumulate(np.where(known, now, 0))
+    last = np.concatenate([[0], last[:-1]])
+    middle = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
+    before = (np.searchsorted(time, middle - _AROUND, "right") - 1).clip(min=0)
+    after = np.searchsorted(time, middle + _AROUND).clip(max=count - 1)
+    costs = []
+    for others, change in ((joints, 0.0), (mirror[joints], _CHANGE)):
+        step, leap = (
+            _distance(seen[b][:, others], seen[a][:, joints], sure[a] * sure[b])
+            for a, b in ((last, now), (before, after))
+        )
+        costs.append(0.5 * (_CONTINUITY * (step + change) + _LEAP * leap))
+    return costs[0], costs[1]
 
 
 def root_velocity(time: Array, root: Array) -> Array:
@@ -214,30 +256,27 @@ def root_velocity(time: Array, root: Array) -> Array:
     return np.asarray((ends[1] - ends[0]) / (2.0 * _STRIDE))
 
 
-def swapped_back(take: Take, frames: Flags) -> Take:
-    """Return a take with left and right swapped back in some frames (T,).
+def swapped_back(take: Take, swapped: Flags) -> Take:
+    """Return a take with sides swapped back, as from ``swapped_frames`` (T, 2).
 
-    Arms and legs change sides up to half a second before or after the trunk: where they
-    then move most steadily. Toes of people whom the sensor takes for others who face it
-    point at the sensor; they are turned to their mirror image in the frontal plane. A
-    sensor shows the trunk of people at its side turned toward itself, so their heading
-    jumps where sides change; the trunk turns evenly there, in half a second.
+    Toes of people whom the sensor takes for others who face it point at the sensor;
+    they are turned to their mirror image in the frontal plane. A sensor shows the trunk
+    of people at its side turned toward itself, so their heading jumps where sides
+    change; the trunk turns evenly there, in half a second.
     """
     skeleton, mirrored = take.skeleton, take.swapped()
-    swapped = np.repeat(frames[:, None], len(skeleton), axis=1)
-    limbs = [_below(skeleton, name) for name in ("Shoulder", "Hip")]
-    for joints in limbs:
-        swapped[:, joints] = _steadiest(take, frames, joints)[:, None]
-    positions = np.where(swapped[..., None], mirrored.positions, take.positions)
-    state = np.where(swapped, mirrored.state, take.state)
+    frames, legs = swapped.T
+    behind = np.repeat(frames[:, None], len(skeleton), axis=1)
+    behind[:, _below(skeleton, "Hip")] = legs[:, None]
+    positions = np.where(behind[..., None], mirrored.positions, take.positions)
+    state = np.where(behind, mirrored.state, take.state)
     face = take.face
     if face is not None:  # nobody has one who is seen from behind
         face = np.where(frames[:, None], np.nan, face)
     yaw = _yaw(positions, skeleton)
     for foot in skeleton.sides("Foot"):
-        behind = swapped[:, foot]
-        ankle = positions[behind, skeleton.parents[foot]]
-        positions[behind, foot] = _in_front(positions[behind, foot], ankle, yaw[behind])
+        ankle = positions[legs, skeleton.parents[foot]]
+        positions[legs, foot] = _in_front(positions[legs, foot], ankle, yaw[legs])
     root = positions[:, skeleton.root]
     known = np.isfinite(yaw) & np.isfinite(root[:, 0])
     if known.any():
@@ -250,7 +289,8 @@ def swapped_back(take: Take, frames: Flags) -> Take:
             even[turn] = np.interp(take.time[turn], take.time[ends], even[ends])
     turned = known & (np.abs(even - yaw) > 1e-9)
     before, after = (HeadingFrame(root[turned], way[turned]) for way in (yaw, even))
-    trunk = np.setdiff1d(np.arange(len(skeleton)), np.concatenate(limbs))
+    limbs = (*_below(skeleton, "Shoulder"), *_below(skeleton, "Hip"))
+    trunk = np.setdiff1d(np.arange(len(skeleton)), limbs)
     posture = before.remove(positions[turned][:, trunk])
     positions[np.ix_(turned, trunk)] = after.restore(posture)
     return replace(take, positions=positions, state=state, face=face)
@@ -274,31 +314,3 @@ def _around(time: Array, change: int, seconds: float) -> slice:
     middle = time[[change, change + 1]].mean()
     first = int(np.searchsorted(time, middle - seconds))
     return slice(first, int(np.searchsorted(time, middle + seconds, "right")))
-
-
-def _steadiest(take: Take, frames: Flags, joints: list[int]) -> Flags:
-    """Return the frames in which joints are swapped, near ``frames``, (T,).
-
-    Sides change where joints then come closest to continuing their motion for two
-    frames.
-    """
-    positions, last = take.positions, len(take) - 1
-    saved = np.zeros(last)
-    for ahead in (1, 2):
-        now = np.arange(ahead, last - ahead + 1)
-        here, past = (positions[k][:, joints] for k in (now, now - ahead))
-        later, expected = positions[now + ahead], 2.0 * here - past
-        for others, sign in ((joints, 1.0), (take.skeleton.mirror[joints], -1.0)):
-            away = np.linalg.norm(later[:, others] - expected, axis=2)
-            away = np.nan_to_num(np.minimum(away, _FAR)).mean(axis=1)
-            saved[now] += sign * away
-    swapped, changes = frames.copy(), np.flatnonzero(np.diff(frames))
-    between = (changes[1:] + changes[:-1]) // 2
-    starts, stops = [0, *between], [*between, last]
-    for change, start, stop in zip(changes.tolist(), starts, stops, strict=False):
-        near = _around(take.time, change, _PARTS_APART)
-        near = slice(max(near.start, start), min(near.stop, stop))
-        best = near.start + int(np.argmax(saved[near])) if saved[near].size else change
-        low, high = sorted((best, change))
-        swapped[low + 1 : high + 1] ^= True
-    return swapped
