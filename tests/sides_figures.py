@@ -2,12 +2,12 @@
 
     python tests/sides_figures.py ../shared/data/two-kinects [PERSON...]
 
-For both sensors of each session in which somebody walks about, of all people or of
-those named (p10 p12): the share of the frames in which people go backward, before and
-after sides are swapped back; and how far limbs are from the two sensors' merged take,
-relative to the root, cleaned without correction, with sides as recorded and swapped
-back. Of takes of standing and steps, and of clips in ``--pairs``, how many have sides
-swapped at all.
+For the side sensor of each session in which somebody walks about, of all people or of
+those named (p10 p12): the share of the walking frames in which people go backward, as
+recorded and with sides swapped back. Where the person faces the front sensor, that one
+tells the sides of arms and of legs: the share that is wrong, as recorded and swapped
+back, and the limbs' distances from that sensor's. Of takes of standing and steps, and
+of clips in ``--pairs``, how many have sides swapped at all.
 """
 
 from __future__ import annotations
@@ -18,69 +18,73 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from kinefilter.characters import Clip, InputError, Take
-from kinefilter.characters.arrays import Array, Flags
-from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.characters import Take
+from kinefilter.characters.arrays import Flags
 from kinefilter.pipeline.commands.terminal import out
-from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.failures.sides import root_velocity, swapped_frames
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.lab.two_views import LIMBS, Session, find_sessions
-from kinefilter.pipeline.merge import merge
+from kinefilter.pipeline.lab.two_views import (
+    Session,
+    Views,
+    find_sessions,
+    read_views,
+    view_pairs,
+)
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.retarget import find_yaw
 
 _WALKING = 0.3  # m/s
 _BACKWARD = np.radians(120.0)  # between course and heading
+_STRAIGHT = 0.5  # cosine between the course and the way to the front sensor
+_CLEARLY = 3.0  # cm by which limbs of the wrong side are farther away
 
 
-def backward(take: Take, swapped: Flags) -> tuple[float, float]:
-    """Return the shares of walking frames in which people go backward, and mended."""
+def backward(take: Take, mended: Take) -> list[float]:
+    """Return the shares of walking frames [%] in which people go backward."""
     velocity = root_velocity(take.time, take.positions[:, take.skeleton.root])
     course = np.arctan2(velocity[:, 0], velocity[:, 2])
-    yaw = find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
-    off = np.abs(np.angle(np.exp(1j * (course - yaw))))
-    mended = np.where(swapped, np.pi - off, off)
     walks = np.hypot(velocity[:, 0], velocity[:, 2]) > _WALKING
-    return float((off[walks] > _BACKWARD).mean()), float(
-        (mended[walks] > _BACKWARD).mean()
-    )
+    shares = []
+    for one in (take, mended):
+        yaw = find_yaw(one.positions, np.ones(one.state.shape), one.skeleton)
+        off = np.abs(np.angle(np.exp(1j * (course - yaw))))
+        shares.append(float((off[walks] > _BACKWARD).mean() * 100.0))
+    return shares
 
 
-def apart(clip: Clip, merged: Take) -> float:
-    """Return the mean distance of limb joints from the merged take's [cm]."""
-    rows = np.searchsorted(clip.time, merged.time).clip(max=len(clip) - 1)
-    same = np.abs(clip.time[rows] - merged.time) < 2e-3
-    joints = [merged.skeleton.index(name) for limb in LIMBS.values() for name in limb]
-    root = merged.skeleton.root
+def toward(views: Views) -> Flags:
+    """Return the frames (T,) in which the person stands, or walks to the front sensor.
 
-    def limbs(positions: Array) -> Array:
-        return (positions - positions[:, [root]])[same][:, joints]
-
-    if not same.any():
-        return float("nan")
-    away = limbs(clip.positions[rows]) - limbs(merged.positions)
-    return float(np.nanmean(np.linalg.norm(away, axis=2)) * 100.0)
+    Of people who pass it from the side, that sensor cannot tell left from right either.
+    """
+    root = views.truth[:, views.side.skeleton.root, [0, 2]]
+    velocity = root_velocity(views.side.time[views.frames], root)
+    speed = np.linalg.norm(velocity, axis=1)
+    along = np.vecdot(velocity, -root) / np.linalg.norm(root, axis=1)
+    return np.asarray((speed < _WALKING) | (along > _STRAIGHT * speed))
 
 
-def figures_of(session: Session) -> Array:
-    """Return both sensors' figures, shape (2, 4), NaN where they do not merge."""
-    rows, paths = [], (session.first, session.second)
-    for one, other in (paths, paths[::-1]):
-        recordings = [read_recording(path) for path in (one, other)]
-        take = recordings[0].take()
-        take = take.at(np.unique(take.time, return_index=True)[1])
-        distances = [np.nan, np.nan]
-        try:
-            merged = merge(recordings).take
-        except InputError as error:
-            out.print(f"{session.name}: {error}")
-        else:
-            cleaner = Cleaner(CleanConfig(method="none"))
-            for k, one_of in enumerate((cleaner.without("failures"), cleaner)):
-                distances[k] = apart(one_of.clean(take).clip, merged)
-        rows.append([*backward(take, swapped_frames(take)[:, 0]), *distances])
-    return np.array(rows)
+def figures_of(session: Session) -> list[float]:
+    """Return a session's figures, in the order of the table."""
+    views = read_views(session)
+    (pair,) = view_pairs([session])
+    take, mended, rows = views.side, pair.take, views.frames[toward(views)]
+    mirror, truth = take.skeleton.mirror, pair.truth[rows]
+    away = []
+    for names in (("Elbow", "Wrist"), ("Knee", "Ankle")):
+        joints = [joint for name in names for joint in take.skeleton.sides(name)]
+        seen = (
+            take.positions[rows][:, joints],
+            mended.positions[rows][:, joints],
+            take.positions[rows][:, mirror[joints]],
+        )
+        parts = [np.linalg.norm(one - truth[:, joints], axis=2) for one in seen]
+        away.append(np.stack(parts).mean(axis=2) * 100.0)
+    distances = np.concatenate(away, axis=1)
+    distances = distances[:, ~np.isnan(distances).any(axis=0)]
+    wrong = distances[:2] > distances.min(axis=0) + _CLEARLY
+    shares = wrong.mean(axis=1) * 100.0
+    return [*backward(take, mended), *shares, *distances[:2].mean(axis=1)]
 
 
 def main() -> None:
@@ -96,14 +100,19 @@ def main() -> None:
         if not given.people or session.person in given.people
     ]
     table = Table("sensors", title="people who walk about, seen by one sensor")
-    for heading in ("sessions", "backward, %", "mended, %", "apart, cm", "mended, cm"):
+    for heading in (
+        "sessions",
+        "backward, %",
+        "wrong sides, %",
+        "limbs, cm",
+    ):
         table.add_column(heading, justify="right")
     for angle in ("parallel", "45deg", "90deg"):
         walks = [s for s in sessions if s.name.endswith(f"{angle}_walk")]
         if walks:
-            rows = np.concatenate([figures_of(session) for session in walks])
-            means = np.nanmean(rows, axis=0) * [100.0, 100.0, 1.0, 1.0]
-            cells = [f"{mean:.1f}" for mean in means]
+            means = np.mean([figures_of(session) for session in walks], axis=0)
+            pairs = means.reshape(-1, 2)
+            cells = [f"{recorded:.1f}, {mended:.1f}" for recorded, mended in pairs]
             table.add_row(angle, str(len(walks)), *cells)
     out.print(table)
     others = [s for s in sessions if s.name.split("_")[-1] in ("stand", "steps")]

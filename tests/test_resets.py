@@ -48,7 +48,7 @@ def test_a_clip_shows_the_target_where_a_limb_is_stuck(failed: Take) -> None:
     assert found.stages["physics"].float_mm < 5.0
 
 
-def _bridged(resets: list[int], lost: slice) -> tuple[Array, Array]:
+def _bridged(resets: list[int], lost: slice | list[int]) -> tuple[Array, Array]:
     """Return distances [m] from a target before and after, (T, J), reset in frames."""
     count, body = 60, BODY
     roots = standing(count)[:, ROOT] + [0.0, 1.0, 0.0]
@@ -70,6 +70,12 @@ def test_only_what_was_lost_is_replaced_and_nothing_after_the_reset() -> None:
     assert after[29:40].max() < 1e-9
     np.testing.assert_allclose(after[:23], before[:23], atol=1e-12)
     np.testing.assert_allclose(after[40:], before[40:], atol=1e-12)
+
+
+def test_a_limb_that_came_back_for_a_moment_was_lost_all_the_same() -> None:
+    before, after = _bridged([40], [*range(30, 34), *range(36, 40)])
+    assert before[34:36].max() < 0.1
+    assert after[29:40].max() < 1e-9
 
 
 def test_who_was_lost_for_longer_is_replaced_for_a_second() -> None:

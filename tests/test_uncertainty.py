@@ -71,7 +71,8 @@ def test_a_hidden_limb_is_less_certain_the_longer_it_was_not_seen() -> None:
     seen, blind = (cleaned(blind=b).uncertainty for b in (False, True))
     path = blind[GAP, wrist]
     middle = len(path) // 2
-    assert path.mean() > 1.3 * seen[GAP, wrist].mean()
+    # For some of these frames the wrist is in doubt also where it is seen.
+    assert np.median(path / seen[GAP, wrist]) > 1.3
     assert path[middle] > 1.2 * path[[0, -1]].max()
 
 
