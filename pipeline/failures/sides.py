@@ -25,8 +25,8 @@ from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
-# two-kinects; what it costs to walk backward and to be swapped, on the latter and on
-# s02, s03 and s04 of UI-PRMD.
+# two-kinects; what it costs to walk backward and to be swapped, and what is only for a
+# single sensor, on the latter and on s02, s03 and s04 of UI-PRMD.
 _FAR = 0.5  # m; joints farther apart cost no more
 _BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
@@ -105,7 +105,9 @@ class Sides(CheapestPath):
         ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3), and
         ``weights`` tell how much each counts, (S, J).
         """
-        as_given, mirrored, sure = self._both(seen, weights)
+        paired, others = self._paired, self._mirror[self._paired]
+        as_given, mirrored = seen[:, paired], seen[:, others]
+        sure = np.minimum(weights[:, paired], weights[:, others])
         costs = self._choices @ (_SWAPPED + _FACING * _facing(seen, self._skeleton)[1])
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
@@ -122,12 +124,6 @@ class Sides(CheapestPath):
             other = _distance(as_given[s], mirrored[k], both)
             costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
         return self._next(ways, costs)
-
-    def _both(self, seen: Array, weights: Array) -> tuple[Array, Array, Array]:
-        """Return joints of both sides, the same mirrored, and how much they count."""
-        paired = self._paired
-        sure = np.minimum(weights, weights[:, self._mirror])[:, paired]
-        return seen[:, paired], seen[:, self._mirror[paired]], sure
 
 
 class _Precomputed(CheapestPath):
