@@ -32,11 +32,10 @@ _BEND = 0.15  # m by which limbs are in front of a body that certainly faces tha
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
 _WALK = 0.85  # cost of walking backward, relative to that
 _WALKING = 0.4  # m/s of somebody who certainly walks
-_SWAPPED = 0.04  # m of mean distance: cost of each frame with swapped sides
+_SWAPPED = 0.05  # m of mean distance: cost of each frame with swapped sides
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
 _LEAST_WEIGHT = 1e-3  # of a joint that is not tracked
-_STANDING = 0.3  # how much the bends count while somebody stands still
 _APART = 0.1  # cost of each frame in which only arms or only legs are swapped
 _JUMP = np.radians(20.0)  # rad from a frame to the next: no turn, the heading jumps
 _EVENLY = 0.25  # s before and after such a jump in which the trunk turns instead
@@ -185,9 +184,7 @@ def _distance(points: Array, others: Array, weights: Array) -> Array:
 def swapped_frames(take: Take) -> Flags:
     """Return where a take has left and right swapped: trunk and arms, and legs, (T, 2).
 
-    Arms and legs may change sides up to half a second apart. While somebody stands
-    still, a frame tells nothing that the last one did not, so the way a body bends
-    counts less than while it walks.
+    Arms and legs may change sides up to half a second apart.
     """
     choices = np.array(list(product((False, True), repeat=2)))
     costs = np.outer(_costs_of_facing(take), choices.mean(axis=1))
@@ -208,8 +205,6 @@ def _costs_of_facing(take: Take) -> Array:
     root = take.positions[:, take.skeleton.root]
     forward, facing = _facing(take.positions, take.skeleton)
     velocity = root_velocity(take.time, root) / _WALKING
-    walks = np.linalg.norm(velocity[:, [0, 2]], axis=1).clip(max=1.0)
-    facing *= _STANDING + (1.0 - _STANDING) * walks
     facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
     return np.asarray(_SWAPPED + _FACING * facing)
 
