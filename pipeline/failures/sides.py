@@ -26,7 +26,8 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
 # two-kinects; what it costs to walk backward and to be swapped, and what is only for a
-# single sensor, on the latter and on s02, s03 and s04 of UI-PRMD.
+# single sensor, on the latter, on s02, s03 and s04 of UI-PRMD, and on simulated people
+# who turn on the spot (seeds 90000 to 90020).
 _FAR = 0.5  # m; joints farther apart cost no more
 _BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
