@@ -185,7 +185,7 @@ def _distance(points: Array, others: Array, weights: Array) -> Array:
 def swapped_frames(take: Take) -> Flags:
     """Return where a take has left and right swapped: trunk and arms, and legs, (T, 2).
 
-    Arms and legs may change sides up to half a second apart.
+    Both face the same way, but may change sides at different times.
     """
     choices = np.array(list(product((False, True), repeat=2)))
     costs = np.outer(_costs_of_facing(take), choices.mean(axis=1))
