@@ -113,13 +113,11 @@ def test_exchanged_sides_stay_as_they_were_recorded() -> None:
 
 
 def test_the_take_of_an_inverted_sensor_matches_also_where_a_trunk_was_turned() -> None:
-    take = _seen("walk", 0.0, -0.9)
+    take = _seen("squat", 0.0, -0.9)
     frames = np.arange(len(take)) >= 60
-    frame = HeadingFrame(take.positions[:, 0], np.where(frames, np.radians(60.0), 0.0))
-    trunk = [*take.skeleton.hips, *take.skeleton.sides("Shoulder")]
-    positions = take.positions.copy()
-    positions[:, trunk] = frame.restore(frame.unturned.remove(take.positions))[:, trunk]
-    turned = replace(take, positions=positions).swapped(frames)
+    frame = HeadingFrame(take.positions[:, 0], np.where(frames, np.radians(120.0), 0.0))
+    posture = frame.unturned.remove(take.positions)
+    turned = replace(take, positions=frame.restore(posture)).swapped(frames)
     inverted = replace(turned, positions=turned.positions * [-1.0, -1.0, 1.0])
     result = clean(inverted, QUICK)
     assert FailureKind.MIRRORED in {failure.kind for failure in result.failures}
