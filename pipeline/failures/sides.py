@@ -105,9 +105,9 @@ class Sides(CheapestPath):
         ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3), and
         ``weights`` tell how much each counts, (S, J).
         """
-        paired, others = self._paired, self._mirror[self._paired]
-        as_given, mirrored = seen[:, paired], seen[:, others]
-        sure = np.minimum(weights[:, paired], weights[:, others])
+        paired = self._paired
+        as_given, mirrored = seen[:, paired], seen[:, self._mirror[paired]]
+        sure = _weights_of_pairs(seen, weights, self._mirror)[:, paired]
         costs = self._choices @ (_SWAPPED + _FACING * _facing(seen, self._skeleton)[1])
         ways = np.zeros(self._changes.shape[:2])
         for s, last in enumerate(self._last):
@@ -182,6 +182,15 @@ def _distance(points: Array, others: Array, weights: Array) -> Array:
     return np.asarray(away / np.where(total > 0.0, total, 1.0))
 
 
+def _weights_of_pairs(seen: Array, weights: Array, mirror: Indices) -> Array:
+    """Return how much joints count (..., J), 0 unless both sides of a pair are seen.
+
+    A limb alone would have nothing to be compared with once sides change.
+    """
+    weights = np.where(np.isnan(seen[..., 0]), 0.0, weights)
+    return np.asarray(np.minimum(weights, weights[..., mirror]))
+
+
 def swapped_frames(take: Take) -> Flags:
     """Return where a take has left and right swapped: trunk and arms, and legs, (T, 2).
 
@@ -219,7 +228,7 @@ def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:
     seen, time, count = take.positions, take.time, len(take)
     mirror = take.skeleton.mirror
     weights = np.where(take.state == State.TRACKED, 1.0, _LEAST_WEIGHT)
-    sure = np.minimum(weights, weights[:, mirror])[:, joints]
+    sure = _weights_of_pairs(seen, weights, mirror)[:, joints]
     now, known = np.arange(count), ~np.isnan(seen).all(axis=(1, 2))
     last = np.maximum.accumulate(np.where(known, now, 0))
     last = np.concatenate([[0], last[:-1]])
