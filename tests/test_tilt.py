@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import TAKES, recorded
 
-from kinefilter import CleanConfig, clean
+from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.target.feet import find_stance
 from kinefilter.pipeline.target.floor import leveled, sensor_tilt
+from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -33,14 +37,58 @@ def test_the_tilt_is_found_under_someone_who_walks(tilt: float) -> None:
     assert found == pytest.approx(tilt, abs=1.0)
 
 
-def test_a_level_sensor_and_someone_who_stands_stay_as_they_are() -> None:
+def test_a_level_sensor_stays_as_it_is() -> None:
     time, positions = walking(0.0, 0.01)
     confidence = np.ones(positions.shape[:2])
     stands = find_stance(time, positions, confidence, KINECT_V1)
     assert abs(np.degrees(sensor_tilt(positions, confidence, stands, BODY))) < 0.5
-    still = np.tile(leveled(BODY.rest_positions, np.radians(10.0)), (60, 1, 1))
-    always = np.ones((60, 2), dtype=bool)
-    assert sensor_tilt(still, np.ones(still.shape[:2]), always, BODY) == 0.0
+
+
+def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
+    """Return someone who stands before the sensor and leans forward [degrees]."""
+    ankles = list(KINECT_V1.sides("Ankle"))
+    feet = BODY.rest_positions[ankles].mean(axis=0)
+    posture = leveled(BODY.rest_positions - feet, np.radians(lean))
+    facing = HeadingFrame(np.array([0.2, -0.8, -2.5]), np.radians(turned))
+    return np.tile(facing.restore(posture), (60, 1, 1))
+
+
+def _tilt_of(positions: Array, confidence: float = 1.0) -> float:
+    known = np.full(positions.shape[:2], confidence)
+    always = np.ones((len(positions), 2), dtype=bool)
+    return float(np.degrees(sensor_tilt(positions, known, always, BODY)))
+
+
+@pytest.mark.parametrize("tilt", [-12.0, -6.0, 5.0, 9.0])
+@pytest.mark.parametrize("turned", [-20.0, 0.0, 15.0])
+def test_the_tilt_is_found_by_someone_who_stands(tilt: float, turned: float) -> None:
+    positions = leveled(standing(turned=turned), -np.radians(tilt))
+    assert _tilt_of(positions) == pytest.approx(tilt, abs=1.5)
+
+
+def test_who_leans_a_little_or_stands_otherwise_shows_no_tilt() -> None:
+    assert _tilt_of(standing()) == 0.0
+    assert _tilt_of(standing(lean=6.0)) == 0.0
+    tilted = leveled(standing(), np.radians(8.0))
+    assert _tilt_of(tilted) != 0.0
+    assert _tilt_of(tilted, confidence=0.0) == 0.0  # feet that were never seen
+    assert _tilt_of(tilted[:10]) == 0.0
+    assert _tilt_of(leveled(standing(turned=60.0), np.radians(8.0))) == 0.0
+    swaying = np.concatenate([leveled(tilted, np.radians(a)) for a in (0.0, 4.0)])
+    assert _tilt_of(swaying) == 0.0
+
+
+@recorded
+@pytest.mark.parametrize("tilt", [-8.0, -4.0])
+def test_a_recorded_gesture_before_a_tilted_sensor_stands_upright(tilt: float) -> None:
+    take = read_take(TAKES / "labanotation" / "Ges05_demopoint.csv")
+    turned = replace(take, positions=leveled(take.positions, np.radians(tilt)))
+    level, tilted = (
+        np.degrees(clean(one, CleanConfig(physics=False)).clip.tilt)
+        for one in (take, turned)
+    )
+    assert level == pytest.approx(4.5, abs=1.0)
+    assert tilted == pytest.approx(level - tilt, abs=2.5)
 
 
 def test_leveling_turns_and_keeps_lengths_and_the_array() -> None:

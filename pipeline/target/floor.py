@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body, Clip, Skeleton, Take
+from kinefilter.characters.anthropometry import joint_masses
 from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .feet import ankles_and_toes
@@ -18,6 +20,15 @@ _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
 _WALKED = 1.0  # m of depth that the stances have to span
 _LEAST_RATIO = 3.0  # of a slope to its standard error
+# By marker mocap of six people (UI-PRMD) who stand, the center of mass is 2.1 to 4.6
+# degrees in front of the ankles.
+_LEAN = np.radians(3.0)
+_LEAST_TILT = np.radians(3.5)  # smaller ones may be the person's own lean
+_LEAST_FRAMES = 15  # standing: half a second
+_STEADY = np.radians(2.0)  # interquartile range of the lean in these frames
+_STRAIGHT = np.cos(np.radians(25.0))  # of the angles between shanks, thighs and trunk
+_FACING = np.cos(np.radians(25.0))  # from the side, sensors misplace the far limbs
+_ASIDE = np.radians(3.0)  # people lean less to a side; else they face elsewhere
 _STANDING = 10.0  # percentile of the lower soles that is the floor: a few sink below
 _DEEPEST = 0.01  # m that contact lets soles sink into the floor in a good take
 
@@ -46,13 +57,20 @@ def floor_height(
 
 
 def sensor_tilt(
-    positions: Array, confidence: Array, stands: Flags, body: Body
+    positions: Array,
+    confidence: Array,
+    stands: Flags,
+    body: Body,
+    *,
+    by_kinect: bool = True,
 ) -> float:
     """Return the angle [rad] about x that levels the floor, 0 if it is unknown.
 
     Positions are in the frame of the sensor, and most sensors look down a little. The
     slope of a line through the heights of planted feet over their depths is the tilt,
     if the feet span a meter or more of depth and the slope is three times its error.
+    If they span less, people who stand still before a Kinect show it: they would fall
+    if they were not upright.
     """
     ankles, _ = ankles_and_toes(body.skeleton)
     places = []
@@ -63,12 +81,43 @@ def sensor_tilt(
                 places.append(np.median(seen, axis=0))
     _, height, depth = np.reshape(places, (-1, 3)).T
     if len(places) < _LEAST_STANCES or np.ptp(depth) < _WALKED:
-        return 0.0
+        feet = positions, confidence, stands, body
+        return _tilt_by_balance(*feet) if by_kinect else 0.0
     from scipy.stats import linregress  # slow to import, and few takes need it
 
     line = linregress(depth, height)
     significant = abs(line.slope) > _LEAST_RATIO * line.stderr
     return float(np.arctan(line.slope)) if significant else 0.0
+
+
+def _tilt_by_balance(
+    positions: Array, confidence: Array, stands: Flags, body: Body
+) -> float:
+    """Return the angle [rad] about x that balances people who stand before the sensor.
+
+    0 if there are too few such frames, or if the tilt may be the person's own lean.
+    """
+    skeleton, masses = body.skeleton, joint_masses(body)
+    (ankles, _), root = ankles_and_toes(skeleton), positions[:, skeleton.root]
+    hips, knees = (list(skeleton.sides(name)) for name in ("Hip", "Knee"))
+    thighs = unit(positions[:, hips] - positions[:, knees])
+    shanks = unit(positions[:, knees] - positions[:, ankles])
+    trunk = unit(positions[:, skeleton.girdle] - root)[:, None]
+    bends = np.stack([np.vecdot(thighs, shanks), np.vecdot(trunk, thighs)])
+    yaw = find_yaw(positions, np.ones(confidence.shape), skeleton)
+    facing = np.cos(yaw - np.arctan2(-root[:, 0], -root[:, 2])) > _FACING
+    seen = (confidence[:, ankles] >= 0.5).all(axis=1)
+    upright = np.asarray((bends > _STRAIGHT).all(axis=(0, 2)))
+    frames = np.flatnonzero(stands.all(axis=1) & seen & facing & upright)
+    if len(frames) < _LEAST_FRAMES:
+        return 0.0
+    center = np.einsum("j,tji->ti", masses / masses.sum(), positions[frames])
+    across, up, deep = (center - positions[frames][:, ankles].mean(axis=1)).T
+    tilts = _LEAN * np.cos(yaw[frames]) - np.arctan2(deep, up)
+    least, tilt, most = np.percentile(tilts, [25.0, 50.0, 75.0])
+    aside = np.median(np.arctan2(across, up))
+    unsure = abs(tilt) < _LEAST_TILT or most - least > _STEADY or abs(aside) > _ASIDE
+    return 0.0 if unsure else float(tilt)
 
 
 def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:

@@ -117,7 +117,9 @@ class Level(Stage):
         stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
         draft.stands = np.concatenate(stances)
         known = draft.unedited.planted.tilt if draft.unedited else self._tilt
-        draft.tilt = sensor_tilt(*_feet(draft)) if known is None else known
+        if known is None:
+            known = sensor_tilt(*_feet(draft), by_kinect=draft.by_kinect)
+        draft.tilt = known
         draft.positions = leveled(draft.positions, draft.tilt)
         if draft.face is not None:
             draft.face = leveled(draft.face, draft.tilt)
