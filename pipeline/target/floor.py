@@ -21,7 +21,8 @@ _LEAST_STANCES = 5  # needed to measure a slope
 _WALKED = 1.0  # m of depth that the stances have to span
 _LEAST_RATIO = 3.0  # of a slope to its standard error
 # By marker mocap of six people (UI-PRMD) who stand, the center of mass is 2.1 to 4.6
-# degrees in front of the ankles.
+# degrees in front of the ankles. Limits were chosen on s02, s03 and s04, on p00 to p08
+# of two-kinects, and on one take of p12, who stands beside the sensor.
 _LEAN = np.radians(3.0)
 _LEAST_TILT = np.radians(3.5)  # smaller ones may be the person's own lean
 _LEAST_FRAMES = 15  # standing: half a second
