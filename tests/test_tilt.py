@@ -46,9 +46,12 @@ def test_a_level_sensor_stays_as_it_is() -> None:
 
 def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
     """Return someone who stands before the sensor and leans forward [degrees]."""
-    ankles = list(KINECT_V1.sides("Ankle"))
-    feet = BODY.rest_positions[ankles].mean(axis=0)
-    posture = leveled(BODY.rest_positions - feet, np.radians(lean))
+    posture = BODY.rest_positions.copy()
+    for shoulder in KINECT_V1.sides("Shoulder"):
+        for j in KINECT_V1.descendants(shoulder):  # the arms hang
+            posture[j] = posture[KINECT_V1.parents[j]] - [0.0, BODY.lengths[j], 0.0]
+    posture -= posture[list(KINECT_V1.sides("Ankle"))].mean(axis=0)
+    posture = leveled(posture, np.radians(lean))
     facing = HeadingFrame(np.array([0.2, -0.8, -2.5]), np.radians(turned))
     return np.tile(facing.restore(posture), (60, 1, 1))
 

@@ -24,7 +24,9 @@ _LEAST_RATIO = 3.0  # of a slope to its standard error
 # degrees in front of the ankles. Limits were chosen on s02, s03 and s04, on p00 to p08
 # of two-kinects, and on one take of p12, who stands beside the sensor.
 _LEAN = np.radians(3.0)
-_LEAST_TILT = np.radians(3.5)  # smaller ones may be the person's own lean
+# Smaller tilts may be the person's own lean; larger ones are found by ``upright``.
+_LEAST_TILT, _MOST_TILT = np.radians([3.5, 15.0])
+_HANGING = np.cos(np.radians(35.0))  # of the angle between an arm and the trunk
 _LEAST_FRAMES = 15  # standing: half a second
 _STEADY = np.radians(2.0)  # interquartile range of the lean in these frames
 _STRAIGHT = np.cos(np.radians(25.0))  # of the angles between shanks, thighs and trunk
@@ -96,7 +98,8 @@ def _tilt_by_balance(
 ) -> float:
     """Return the angle [rad] about x that balances people who stand before the sensor.
 
-    0 if there are too few such frames, or if the tilt may be the person's own lean.
+    Their arms hang, and they face it. 0 if there are too few such frames, or if the
+    tilt may be the person's own lean.
     """
     skeleton, masses = body.skeleton, joint_masses(body)
     (ankles, _), root = ankles_and_toes(skeleton), positions[:, skeleton.root]
@@ -104,11 +107,15 @@ def _tilt_by_balance(
     thighs = unit(positions[:, hips] - positions[:, knees])
     shanks = unit(positions[:, knees] - positions[:, ankles])
     trunk = unit(positions[:, skeleton.girdle] - root)[:, None]
+    shoulders, wrists = (
+        positions[:, list(skeleton.sides(name))] for name in ("Shoulder", "Wrist")
+    )
+    hangs = np.vecdot(unit(shoulders - wrists), trunk) > _HANGING
     bends = np.stack([np.vecdot(thighs, shanks), np.vecdot(trunk, thighs)])
     yaw = find_yaw(positions, np.ones(confidence.shape), skeleton)
     facing = np.cos(yaw - np.arctan2(-root[:, 0], -root[:, 2])) > _FACING
     seen = (confidence[:, ankles] >= 0.5).all(axis=1)
-    upright = np.asarray((bends > _STRAIGHT).all(axis=(0, 2)))
+    upright = (bends > _STRAIGHT).all(axis=(0, 2)) & hangs.all(axis=1)
     frames = np.flatnonzero(stands.all(axis=1) & seen & facing & upright)
     if len(frames) < _LEAST_FRAMES:
         return 0.0
@@ -117,8 +124,8 @@ def _tilt_by_balance(
     tilts = _LEAN * np.cos(yaw[frames]) - np.arctan2(deep, up)
     least, tilt, most = np.percentile(tilts, [25.0, 50.0, 75.0])
     aside = np.median(np.arctan2(across, up))
-    unsure = abs(tilt) < _LEAST_TILT or most - least > _STEADY or abs(aside) > _ASIDE
-    return 0.0 if unsure else float(tilt)
+    sure = most - least < _STEADY and abs(aside) < _ASIDE
+    return float(tilt) if sure and _LEAST_TILT < abs(tilt) < _MOST_TILT else 0.0
 
 
 def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:
