@@ -63,6 +63,13 @@ def test_legs_change_sides_before_or_after_the_arms(
     np.testing.assert_allclose(mended[:, others], take.positions[:, others], atol=1e-9)
 
 
+@pytest.mark.parametrize("motion", ["walk", "run"])
+@pytest.mark.parametrize("seed", range(3))
+def test_who_walks_backward_is_left_alone(motion: str, seed: int) -> None:
+    take = _walk(motion=motion, seed=seed)
+    assert not swapped_frames(replace(take, positions=take.positions[::-1])).any()
+
+
 @pytest.mark.parametrize("limb", ["left-arm", "arms", "right-leg", "legs"])
 @pytest.mark.parametrize("begin", [0, 60])
 def test_hidden_limbs_leave_enough_to_see(limb: str, begin: int) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 from kinefilter.characters import Body, Clip, Skeleton, Take
 from kinefilter.characters.anthropometry import joint_masses
 from kinefilter.characters.arrays import Array, Flags, runs
-from kinefilter.characters.rotations import unit
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .feet import ankles_and_toes
+from .upright import HANGING, posture_of
 
 _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
@@ -25,11 +25,9 @@ _LEAST_RATIO = 3.0  # of a slope to its standard error
 # of two-kinects, and on one take of p12, who stands beside the sensor.
 _LEAN = np.radians(3.0)
 # Smaller tilts may be the person's own lean; larger ones are found by ``upright``.
-_LEAST_TILT, _MOST_TILT = np.radians([3.5, 15.0])
-_HANGING = np.cos(np.radians(35.0))  # of the angle between an arm and the trunk
+_LEAST_TILT, _MOST_TILT = np.radians([4.0, 15.0])
 _LEAST_FRAMES = 15  # standing: half a second
 _STEADY = np.radians(2.0)  # interquartile range of the lean in these frames
-_STRAIGHT = np.cos(np.radians(25.0))  # of the angles between shanks, thighs and trunk
 _FACING = np.cos(np.radians(25.0))  # from the side, sensors misplace the far limbs
 _ASIDE = np.radians(3.0)  # people lean less to a side; else they face elsewhere
 _STANDING = 10.0  # percentile of the lower soles that is the floor: a few sink below
@@ -84,8 +82,9 @@ def sensor_tilt(
                 places.append(np.median(seen, axis=0))
     _, height, depth = np.reshape(places, (-1, 3)).T
     if len(places) < _LEAST_STANCES or np.ptp(depth) < _WALKED:
-        feet = positions, confidence, stands, body
-        return _tilt_by_balance(*feet) if by_kinect else 0.0
+        if not by_kinect:
+            return 0.0
+        return _tilt_by_balance(positions, confidence, stands, body)
     from scipy.stats import linregress  # slow to import, and few takes need it
 
     line = linregress(depth, height)
@@ -103,19 +102,11 @@ def _tilt_by_balance(
     """
     skeleton, masses = body.skeleton, joint_masses(body)
     (ankles, _), root = ankles_and_toes(skeleton), positions[:, skeleton.root]
-    hips, knees = (list(skeleton.sides(name)) for name in ("Hip", "Knee"))
-    thighs = unit(positions[:, hips] - positions[:, knees])
-    shanks = unit(positions[:, knees] - positions[:, ankles])
-    trunk = unit(positions[:, skeleton.girdle] - root)[:, None]
-    shoulders, wrists = (
-        positions[:, list(skeleton.sides(name))] for name in ("Shoulder", "Wrist")
-    )
-    hangs = np.vecdot(unit(shoulders - wrists), trunk) > _HANGING
-    bends = np.stack([np.vecdot(thighs, shanks), np.vecdot(trunk, thighs)])
+    _, straight, down = posture_of(positions, skeleton)
+    upright = straight.all(axis=1) & (down > HANGING).all(axis=1)
     yaw = find_yaw(positions, np.ones(confidence.shape), skeleton)
     facing = np.cos(yaw - np.arctan2(-root[:, 0], -root[:, 2])) > _FACING
     seen = (confidence[:, ankles] >= 0.5).all(axis=1)
-    upright = (bends > _STRAIGHT).all(axis=(0, 2)) & hangs.all(axis=1)
     frames = np.flatnonzero(stands.all(axis=1) & seen & facing & upright)
     if len(frames) < _LEAST_FRAMES:
         return 0.0

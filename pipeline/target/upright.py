@@ -19,7 +19,7 @@ from kinefilter.characters.rotations import unit
 
 _STRAIGHT = np.cos(np.radians(30.0))
 """Cosine of the largest angle between shank, thigh and trunk in standing. A guess."""
-_HANGING = 0.8  # share of its length that a hanging arm reaches down. A guess.
+HANGING = 0.8  # share of its length that a hanging arm reaches down. A guess.
 _ORDINARY = {"both": np.radians(15.0), "either": np.radians(20.0)}
 """Angle to the vertical [rad] up to which nothing is done, if both legs or at least one
 are straight often enough. With sensors as people set them up, 1,254 clips of 20 people
@@ -109,7 +109,7 @@ def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
     if lean < _OVER:
         # Arms over the head do not carry the person either.
         down = down if lean > _TILTED else np.abs(down)
-        sure &= np.mean(down.max(axis=1) > _HANGING) >= _HANGS
+        sure &= np.mean(down.max(axis=1) > HANGING) >= _HANGS
     else:
         sure &= np.mean(down.max(axis=1) > _CARRYING) > 1.0 - _AGREEMENT
     if not sure or _TILTED < lean < _OVER:
@@ -143,11 +143,19 @@ def _from_vertical(direction: Array) -> float:
 
 
 def _posture(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]:
-    """Return how the person stands in the N frames with feet and trunk.
+    """Return ``posture_of`` for the N frames with feet and trunk."""
+    along, straight, down = posture_of(positions, skeleton)
+    seen = ~np.isnan(along).any(axis=1)
+    return along[seen], straight[seen], down[seen]
 
-    The direction from the feet to the shoulders (N, 3), whether each leg is straight
-    and in line with the trunk (N, 2), and the share of its length by which each arm
-    reaches down along the body (N, 2). None depends on which way the frame is turned.
+
+def posture_of(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]:
+    """Return how the person stands.
+
+    The direction from the feet to the shoulders (T, 3), NaN without feet or trunk;
+    whether each leg is straight and in line with the trunk (T, 2); and the share of its
+    length by which each arm reaches down along the body (T, 2). None depends on which
+    way the frame is turned.
     """
     ankle, knee, hip, shoulder, elbow, wrist = (
         positions[:, skeleton.sides(part)]
@@ -162,8 +170,8 @@ def _posture(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]
     arm = np.linalg.norm(elbow - shoulder, axis=2)
     arm += np.linalg.norm(wrist - elbow, axis=2)
     down = np.sum((shoulder - wrist) * along, axis=2) / np.maximum(arm, 1e-9)
-    seen = ~np.isnan(along + trunk).any(axis=(1, 2))
-    return along[seen, 0], straight[seen], np.nan_to_num(down[seen])
+    along = np.where(np.isnan(trunk), np.nan, along)
+    return along[:, 0], straight, np.nan_to_num(down)
 
 
 def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
