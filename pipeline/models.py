@@ -114,5 +114,7 @@ def load_model(path: Path) -> Model:
             _try_out(corrector)
     except (InputError, KeyError, ValueError, *_DAMAGED) as error:
         wrong = f"no array {error}" if isinstance(error, KeyError) else error
-        raise InputError(f"{path}: a damaged model: {wrong}; train again") from None
+        raise InputError(
+            f"{path}: a damaged or outdated model: {wrong}; train again"
+        ) from None
     return Model(corrector, method, skeleton, source, preset)

@@ -330,6 +330,18 @@ def test_limbs_on_the_far_side_are_put_where_a_sensor_in_front_saw_them() -> Non
         assert least <= away[:, left].max(axis=1).mean() < 1.5 * most
 
 
+def test_trunks_are_turned_away_from_the_sensor_up_to_a_right_angle() -> None:
+    """Not those that face it; those seen from behind as if they were in front."""
+    shown = np.radians([[0.0, 10.0, 31.5, 60.0, 85.0, 90.0, 95.0, 180.0]])
+    toward = np.stack([np.sin(shown), np.cos(shown)], axis=-1)
+    turn = np.degrees(fourier_ridge._turn(toward * [-1.0, 1.0], 0.4))
+    few, more = 0.4 * (31.5 - np.degrees(0.2)), 0.4 * (60.0 - np.degrees(0.2))
+    expected = [[0.0, 0.0, few, more, 5.0, 0.0, -5.0, 0.0]]
+    np.testing.assert_allclose(turn, expected, atol=1e-9)
+    mirrored = np.degrees(fourier_ridge._turn(toward, 0.4))
+    np.testing.assert_allclose(mirrored, np.negative(expected), atol=1e-9)
+
+
 def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
     lessons = _lessons()
     own = lessons.positions.copy()

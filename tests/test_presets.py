@@ -200,7 +200,7 @@ def test_damaged_settings_of_a_model_are_refused(
     with np.load(model) as file:
         arrays = dict(file)
     np.savez(tmp_path / "m.npz", **arrays | {"fitted_settings": np.array(words)})
-    with pytest.raises(InputError, match=r"m\.npz: a damaged model"):
+    with pytest.raises(InputError, match=r"m\.npz: a damaged or outdated model"):
         load_model(tmp_path / "m.npz")
 
 

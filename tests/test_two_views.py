@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from real_data import DATA, recorded
 
 from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.cli import main
@@ -65,6 +66,17 @@ def test_two_views_of_one_motion_agree(session: list[str], tmp_path: Path) -> No
     for limb in LIMBS:
         assert found["rows"]["raw"][limb]["all"] < 0.5
         assert found["rows"]["none"][limb]["all"] < 2.0
+    assert found["rows"]["raw"]["trunk"]["all"] < 0.5
+
+
+@recorded
+def test_a_trunk_beside_the_sensor_turns_as_the_sensor_in_front_sees_it() -> None:
+    """The one beside it shows it turned toward itself."""
+    sessions = two_views.find_sessions([DATA / "two-kinects" / "p10_90deg_steps"], None)
+    methods = ["none", "default"]
+    (found,) = two_views.compare_views(sessions, methods, physics=False)["sessions"]
+    none, default = (found["rows"][method]["trunk"]["all"] for method in methods)
+    assert default < 0.5 * none
 
 
 def test_learned_has_not_learned_from_the_person_that_it_is_told_on(

@@ -13,9 +13,10 @@ and c equal to 1 for the same person and clip: strangers get what all people sha
 Mirrored people count as other people. Simulated people are training data, too, and
 share an effect of their own, because their sensor is not quite a Kinect.
 
-Limbs on the far side of the body are corrected toward what a second sensor, in front,
-saw of people whom the first one saw from the side. People from the training data who
-are named get their own effects as well. Away from the training data, the correction
+Limbs on the far side of the body, shoulders and hips are corrected toward what a second
+sensor, in front, saw of people whom the first one saw from the side. Kinect v2 shows
+trunks turned toward itself; they are turned away again. People from the training data
+who are named get their own effects as well. Away from the training data, the correction
 fades to zero.
 """
 
@@ -27,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import Skeleton
+from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
+from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.body_size import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
@@ -52,6 +54,7 @@ _FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
+_TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
 _CHUNK = 2048  # frames at a time: features take far more memory than positions
 
@@ -76,6 +79,7 @@ class FourierRidge(LearnedCorrector):
     far_weights_: Singles
     live_far_weights_: Singles
     far_centers_: Singles
+    turn_share_: Array
     people_: NDArray[np.str_]
     own_weights_: Singles
     live_own_weights_: Singles
@@ -94,6 +98,11 @@ class FourierRidge(LearnedCorrector):
         self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
         self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
+        # How Kinect v1 shows trunks from the side has not been measured.
+        ends = ("Shoulder", "Hip") if skeleton == KINECT_V2 else ()
+        self._pairs = [list(skeleton.sides(part)) for part in ends]
+        self._trunk = np.isin(self.joints_, self._pairs)
+        self._hidden = self._posture_features.sides != 0.0
         self.start()
 
     def start(self) -> None:
@@ -232,15 +241,16 @@ class FourierRidge(LearnedCorrector):
 
     def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures plus the offsets, weighted by similarity."""
-        side = found.toward[..., :1] * self._posture_features.sides
-        off_frontal = _off_frontal_share(side, found.similar)
-        far_side = np.where(side < 0.0, off_frontal, 0.0)
+        across, trunk = found.toward[..., :1], self._trunk
+        of_view = _off_frontal_share(across, found.similar)
+        off_frontal = np.where(trunk | self._hidden, of_view, 0.0)
+        far_side = trunk | (across * self._posture_features.sides < 0.0)
         share = _ramp(found.parts, self._strange, self._familiar)
         if self._person is None:
             share = np.where(self._wrists, _WRIST_SHARE * share, share)
         offsets = found.share[..., None] * found.constant
         offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
-        offsets = offsets + far_side[..., None] * found.far
+        offsets = offsets + (far_side * off_frontal)[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._posture_features.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
@@ -254,6 +264,12 @@ class FourierRidge(LearnedCorrector):
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
+        near = _ramp(found.similar[..., 1], _FAR, _NEAR)
+        turn = near * _turn(found.toward, float(self.turn_share_))
+        for pair in self._pairs:
+            middle = moved[..., pair, :].mean(axis=-2)
+            around = moved[..., pair, :] - middle[..., None, :]
+            moved[..., pair, :] = HeadingFrame(middle, turn).restore(around)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
 
@@ -286,6 +302,28 @@ def _off_frontal_share(sine: Array, similar: Array) -> Array:
     """
     off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
     return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
+
+
+def turned_away(toward: Array) -> Array:
+    """Return how far people are turned away from the sensor, beyond ``_TURNED`` [rad].
+
+    ``toward`` (..., 2) is the direction to it. Positive to the left; opposite for those
+    seen from behind, whom the sensor shows as if it saw them from the front.
+    """
+    left, ahead = -toward[..., 0], toward[..., 1]
+    angle = np.arctan2(left, np.abs(ahead))
+    beyond = np.maximum(np.abs(angle) - _TURNED, 0.0)
+    return np.asarray(np.sign(left) * np.sign(ahead) * beyond)
+
+
+def _turn(toward: Array, share: float) -> Array:
+    """Return the turn [rad] to the left by a ``share`` of ``turned_away``.
+
+    At a right angle to the sensor it ends.
+    """
+    away = turned_away(toward)
+    room = np.pi / 2.0 - _TURNED - np.abs(away)
+    return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:

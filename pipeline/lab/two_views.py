@@ -4,7 +4,8 @@ Two sensors recorded the same person: the front sensor, which the person faces, 
 limbs that the side sensor has to guess. Frames are matched by the recording computer's
 clock. For each session, one rigid transform over the joints of the trunk brings the two
 sensors together. Each joint's constant offset in the heading frame is subtracted,
-because it depends on the direction from which a sensor sees the joint.
+because it depends on the direction from which a sensor sees the joint. The heading of
+the trunk is compared as well.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ LIMBS = {
     for side in ("Left", "Right")
 }
 """Limbs that are compared, and their joints."""
+_TRUNK = "trunk"  # of which the heading is compared
 FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
 
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
@@ -106,11 +108,12 @@ def compare_views(
     physics: bool = True,
     progress: Progress = silent,
 ) -> Figures:
-    """Return the distances [cm] between two sensors' limbs, by session and by angle.
+    """Return the distances between two sensors' limbs [cm], by session and by angle.
 
-    The side sensor's take is cleaned with each method, with or without physics. All
-    must work without training, as in ``measure_hidden``, except ``learned``, which is
-    trained on the pairs ``train`` and the sessions of other people.
+    Beside them are the angles between the headings of the trunk [degrees]. The side
+    sensor's take is cleaned with each method, with or without physics. All must work
+    without training, as in ``measure_hidden``, except ``learned``, which is trained on
+    the pairs ``train`` and the sessions of other people.
 
     Raises:
         InputError: A method is unknown, or takes do not belong together.
@@ -131,10 +134,10 @@ def compare_views(
         some = [figures for figures in results if figures["angle"] == angle]
         rows: Figures = {}
         for row in some[0]["rows"]:
-            limbs = [figures["rows"][row] for figures in some]
+            each = [figures["rows"][row] for figures in some]
             rows[row] = {
-                limb: {key: _mean([of[limb][key] for of in limbs]) for key in _FRAMES}
-                for limb in LIMBS
+                part: {key: _mean([of[part][key] for of in each]) for key in _FRAMES}
+                for part in (*LIMBS, _TRUNK)
             }
         areas = _areas([figures["joints"] for figures in some])
         angles[angle] = {"sessions": len(some), "rows": rows, "auc": areas}
@@ -205,17 +208,21 @@ def _compare(
     physics: bool,
     learned: LearnedCorrector | None,
 ) -> Figures:
-    side, at, truth, sure, sensor, facing, _ = read_views(session)
+    side, at, truth, sure, sensor, facing, faces = read_views(session)
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
-    away = {"raw": away_from(side.positions[at], truth, skeleton)[:, joints]}
+    seen = {"raw": side.positions[at]}
     for method in methods:
         config, corrector = CleanConfig(method=method, physics=physics), None
         if method == "learned" and learned is not None:
             config = CleanConfig(physics=physics)
             corrector = learned.from_arrays(skeleton, learned.arrays())
         clip = Cleaner(config, corrector=corrector).clean(side).clip
-        away[method] = away_from(clip.positions[at], truth, skeleton)[:, joints]
+        seen[method] = clip.positions[at]
+    away = {
+        row: away_from(places, truth, skeleton)[:, joints]
+        for row, places in seen.items()
+    }
     wrong, known = away["raw"] > FAR, ~np.isnan(away["raw"])
     doubts = (1.0 - clip.reliability[at], misplaced(side)[at])
     doubt = np.stack([share[:, joints] for share in doubts], axis=2)
@@ -226,6 +233,8 @@ def _compare(
             limb: {"all": _mean(by_limb[:, k]), "sure": _mean(by_limb[sure[:, k], k])}
             for k, limb in enumerate(LIMBS)
         }
+        turned = _turned_from(seen[row], truth, skeleton)
+        rows[row][_TRUNK] = {"all": _mean(turned), "sure": _mean(turned[faces])}
     return {
         "session": session.name,
         "angle": session.name.split("_")[1] if session.name.count("_") > 1 else "",
@@ -278,8 +287,13 @@ def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
     """Return the angle between heading and sensor [degrees], NaN where unknown."""
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
-    turn = _yaw(positions, take.skeleton) - np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
-    return np.asarray(np.degrees(np.abs(np.angle(np.exp(1j * turn)))))
+    view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
+    return _size_of_turn(_yaw(positions, take.skeleton) - view)
+
+
+def _size_of_turn(angles: Array) -> Array:
+    """Return the size of turns [rad] in degrees, at most 180."""
+    return np.asarray(np.degrees(np.abs(np.angle(np.exp(1j * angles)))))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
@@ -335,6 +349,22 @@ def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
 
 
+def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+    """Return the angles between the trunk's heading and the true one [degrees], (T,).
+
+    The two are brought together by the middle line of the body, because a sensor may
+    show hips and shoulders turned.
+    """
+    names = ("Head", "KneeLeft", "AnkleLeft")
+    line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
+    mirror = skeleton.mirror[line]
+    middles = (0.5 * (p[:, line] + p[:, mirror]) for p in (truth, positions))
+    apart = _yaw(positions, skeleton) - _yaw(
+        placement(*middles).rotate(truth), skeleton
+    )
+    return _size_of_turn(apart)
+
+
 def _mean(values: Any) -> float | None:
     known = np.array([v for v in np.ravel(values) if v is not None and not np.isnan(v)])
     return float(known.mean()) if len(known) else None
@@ -352,8 +382,8 @@ def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
 
 def as_table(figures: Figures) -> Table:
     """Return the figures as a table for the terminal."""
-    table = Table("session, side sensor", title="cm between the two sensors' limbs")
-    for heading in LIMBS:
+    table = Table("session, side sensor", title="between the two sensors, cm")
+    for heading in (*LIMBS, "trunk, degrees"):
         table.add_column(heading, justify="right", no_wrap=True)
     means = [
         {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}

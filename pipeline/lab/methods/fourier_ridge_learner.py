@@ -14,10 +14,11 @@ from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.pipeline.correct import Hold
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge, turned_away
 from kinefilter.pipeline.correct.posture_features import Part, PostureFeatures
 from kinefilter.pipeline.correct.random_features import RandomFeatures, direction_to
 from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.retarget import find_yaw
 
 from .training_data import Learner, TrainingSet
 
@@ -227,7 +228,8 @@ class FourierRidgeLearner(FourierRidge, Learner):
             training: People recorded with markers.
             simulated: Simulated people in addition.
             views: People recorded by a second sensor as well, of any skeleton; it gives
-                the ground truth of the limbs on the far side of their bodies.
+                the ground truth of the limbs on the far side of their bodies, and of
+                their heading.
             people: Also learn each person's own effects in ``training``.
             progress: Wraps the steps, for a progress bar.
         """
@@ -244,6 +246,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
             )
         others, aside = list[Person](), list[Person]()
         self.far_centers_ = np.empty((0, recorded[0].features.shape[1]), np.float32)
+        self.turn_share_ = np.array(0.0 if views is None else _turn_share(views))
         if simulated is not None:
             others += people_in(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST)
         if views is not None:
@@ -321,6 +324,24 @@ class FourierRidgeLearner(FourierRidge, Learner):
             lengths = training.lengths[training.person == person]
             each.append(self._posture_features.proportions(np.median(lengths, 0)))
         return np.asarray(np.mean(each, axis=0))
+
+
+def _turn_share(views: TrainingSet) -> float:
+    """Return the share of how far people are shown turned by which they turn farther.
+
+    Least squares over frames.
+    """
+    shown = turned_away(direction_to(views.sensor, len(views)))
+    yaws = [
+        find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)
+        for places in (views.truth, views.positions)
+    ]
+    turn = np.angle(np.exp(1j * (yaws[0] - yaws[1])))
+    known = np.isfinite(turn) & (shown != 0.0)
+    if not known.any():
+        return 0.0
+    share = shown[known] @ turn[known] / (shown[known] @ shown[known])
+    return float(np.clip(share, 0.0, 1.0))
 
 
 def _features_of(people: list[Person]) -> Singles:
