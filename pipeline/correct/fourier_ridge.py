@@ -15,9 +15,9 @@ share an effect of their own, because their sensor is not quite a Kinect.
 
 Limbs on the far side of the body, shoulders and hips are corrected toward what a second
 sensor, in front, saw of people whom the first one saw from the side. Kinect v2 shows
-trunks turned toward itself; they are turned away again. People from the training data
-who are named get their own effects as well. Away from the training data, the correction
-fades to zero.
+trunks turned toward itself; they are turned away again, and with them the foot behind
+the body. People from the training data who are named get their own effects as well.
+Away from the training data, the correction fades to zero.
 """
 
 from __future__ import annotations
@@ -99,8 +99,11 @@ class FourierRidge(LearnedCorrector):
         self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
         # How Kinect v1 shows trunks from the side has not been measured.
-        ends = ("Shoulder", "Hip") if skeleton == KINECT_V2 else ()
+        measured = skeleton == KINECT_V2
+        ends = ("Shoulder", "Hip") if measured else ()
         self._pairs = [list(skeleton.sides(part)) for part in ends]
+        feet = zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True)
+        self._feet = [([foot], side) for foot, side in feet if measured]
         self._trunk = np.isin(self.joints_, self._pairs)
         self._hidden = self._posture_features.sides != 0.0
         self.start()
@@ -268,8 +271,11 @@ class FourierRidge(LearnedCorrector):
         turn = near * _turn(found.toward, float(self.turn_share_))
         for pair in self._pairs:
             middle = moved[..., pair, :].mean(axis=-2)
-            around = moved[..., pair, :] - middle[..., None, :]
-            moved[..., pair, :] = HeadingFrame(middle, turn).restore(around)
+            moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
+        for foot, side in self._feet:
+            far = np.where(side * found.toward[..., 0] < 0.0, turn, 0.0)
+            ankle = moved[..., self._parents[foot[0]], :]
+            moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
 
@@ -324,6 +330,11 @@ def _turn(toward: Array, share: float) -> Array:
     away = turned_away(toward)
     room = np.pi / 2.0 - _TURNED - np.abs(away)
     return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))
+
+
+def _turned(positions: Array, turn: Array, center: Array) -> Array:
+    """Return positions (..., K, 3) turned about a vertical line through a point."""
+    return HeadingFrame(center, turn).restore(positions - center[..., None, :])
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
