@@ -112,10 +112,9 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     from kinefilter.pipeline.physics.scene_props import SceneProps
     from kinefilter.scenes import load_scene
 
-    model = load_scene(scene).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    things = SceneProps(model, data, (), 1)
+    data = mujoco.MjData(load_scene(scene).compile())
+    mujoco.mj_forward(data.model, data)
+    things = SceneProps(data, (), 1)
     things.record(0)
     names = {prop.name for prop in props}
     others = things.props(find_placement(clip.positions, clip.skeleton))

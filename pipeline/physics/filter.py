@@ -102,9 +102,8 @@ class _Cue:
         types = (float, float, np.int64, np.bool_)
         self._trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         self._turns, self._roots = np.empty_like(person.rotations), np.empty((count, 3))
-        world = character.world
-        roots = [other.root_body for other in world.characters]
-        self._props = SceneProps(world.model, world.data, roots, count)
+        roots = [other.root_body for other in character.world.characters]
+        self._props = SceneProps(character.data, roots, count)
 
     def target(self, k: int) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations (J, 4) at a time stamp."""

@@ -57,8 +57,9 @@ def _props_of(model: mujoco.MjModel) -> Indices:
     return np.asarray(model.body_weldid[model.geom_bodyid])
 
 
-def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
+def _corners(data: mujoco.MjData, geom: int) -> Array:
     """Return the corners of a mesh, or of the box around another geom, (N, 3) [m]."""
+    model = data.model
     middle, half = model.geom_aabb[geom].reshape(2, 3)
     points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
     if model.geom_type[geom] == _MESH:
@@ -77,14 +78,11 @@ class Holdable:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        body: int,
-        palm: float,
-        hands: tuple[str, str],
+        self, data: mujoco.MjData, body: int, palm: float, hands: tuple[str, str]
     ) -> None:
-        self._model, self._data, self._body, self._palm = model, data, body, palm
+        model = data.model
+        self._data, self._model = data, model
+        self._body, self._palm = body, palm
         self.name = model.body(body).name
         self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
         self._hands = [model.body(hand).id for hand in hands]
@@ -94,27 +92,21 @@ class Holdable:
         self._round = bool(kind == mujoco.mjtGeom.mjGEOM_SPHERE)
         frame = data.xmat[body] if kind == _MESH else data.geom_xmat[geoms[0]]
         self._turn = data.xmat[body].reshape(3, 3).T @ frame.reshape(3, 3)
-        points = [_corners(model, data, int(geom)) for geom in geoms]
+        points = [_corners(data, int(geom)) for geom in geoms]
         points = (np.concatenate(points) - data.xpos[body]) @ frame.reshape(3, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         self._middle, self._half = self._turn @ (0.5 * (low + high)), 0.5 * (high - low)
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
-    def all(
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        palm: float,
-        hands: tuple[str, str],
-    ) -> list[Holdable]:
+    def all(data: mujoco.MjData, palm: float, hands: tuple[str, str]) -> list[Holdable]:
         """Return all props with ties that are not too small for two hands."""
+        model = data.model
         mujoco.mj_kinematics(model, data)
         solid = set(_props_of(model)[model.geom_contype != 0])
         tied = {f"hold:{model.body(k).name}:{hands[0]}": int(k) for k in solid}
         names = [model.equality(k).name for k in range(model.neq)]
-        props = [
-            Holdable(model, data, tied[n], palm, hands) for n in names if n in tied
-        ]
+        props = [Holdable(data, tied[n], palm, hands) for n in names if n in tied]
         return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
 
     @property

@@ -79,7 +79,7 @@ class Playground:
         self.character = self.characters[0]
         self._pairs = list(zip(self.characters, self.motions, strict=True))
         model, roots = self.world.model, [c.root_body for c in self.characters]
-        self.scene_props = SceneProps(model, self.world.data, roots, 1)
+        self.scene_props = SceneProps(self.world.data, roots, 1)
         self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
         self._dragged: tuple[int, int, Array, Array] | None = None
         self.resets = 0
@@ -109,9 +109,7 @@ class Playground:
         """Advance the simulation by dt [s]."""
         before, self.time = self.time, self.time + dt
         for character, motion in self._pairs:
-            began, now = (
-                int(time * RATE) // len(motion) for time in (before, self.time)
-            )
+            began, now = (int(t * RATE) // len(motion) for t in (before, self.time))
             if now > began:
                 self._put_back(character)
         if self._dragged is not None:

@@ -35,13 +35,10 @@ class SceneProps:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        characters: Sequence[int],
-        frames: int,
+        self, data: mujoco.MjData, characters: Sequence[int], frames: int
     ) -> None:
-        self._model, self._data = model, data
+        model = data.model
+        self._data, self._model = data, model
         visible = np.flatnonzero(
             np.isin(model.geom_type, list(_KINDS))
             & (model.geom_group <= _LAST_VISIBLE)
