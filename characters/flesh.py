@@ -111,9 +111,7 @@ class _Sculptor:
 
     body: Body
     thinnest: float
-    rows: list[tuple[Array, Array, tuple[float, float], Array, int]] = field(
-        default_factory=list
-    )
+    rows: list[tuple[Any, ...]] = field(default_factory=list)
 
     def add(
         self,

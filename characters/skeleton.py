@@ -88,10 +88,7 @@ class Skeleton:
     @cached_property
     def order(self) -> tuple[int, ...]:
         """Joint indices sorted so that every parent precedes its children."""
-        ordered = [self.root]
-        for joint in ordered:
-            ordered.extend(self.children[joint])
-        return tuple(ordered)
+        return (self.root, *self.descendants(self.root))
 
     @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
