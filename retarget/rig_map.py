@@ -118,11 +118,6 @@ class MapBone:
     at: float = 0.0
     follows: str | None = None
 
-    @property
-    def is_built(self) -> bool:
-        """Whether it is part of skeletons that are built from the map."""
-        return bool(self.offset is not None or self.twist_of or self.follows)
-
 
 @dataclass(frozen=True)
 class RigMap:

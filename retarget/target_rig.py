@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -118,7 +119,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     person's; the rest scales with the stature. The soles are at y = 0. An InputError
     says if the map lacks offsets.
     """
-    bones = [bone for bone in rig_map.bones if bone.is_built]
+    bones = [b for b in rig_map.bones if b.offset or b.twist_of or b.follows]
     names = tuple(bone.name for bone in bones)
     for bone in bones:
         if bone.parent is not None and bone.parent not in names:
@@ -139,12 +140,12 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
         if bone.twist_of:
             end = BEYOND[bones[parents[n]].part or ""]
             offsets[n] = bone.at * offsets[[b.part for b in bones].index(end)]
-    positions = _chained(offsets, parents)
+    positions = chained(offsets, parents)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
     for part in _TRUNK & rig.parts.keys():
         offsets[list(rig.parts[part])] *= _trunk_scale(rig, body)
-    positions = _chained(offsets, parents)
+    positions = chained(offsets, parents)
     joints, height = _lowest(rig, body)
     moving = [rig.joint("pelvis")]  # and its descendants
     for n in range(moving[0] + 1, len(rest)):
@@ -159,7 +160,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     return replace(rig, rest=rest, floor=0.0)
 
 
-def _chained(offsets: Array, parents: list[int]) -> Array:
+def chained(offsets: Array, parents: Sequence[int]) -> Array:
+    """Return positions (N, 3) from offsets from parents (-1: none), parents first."""
     positions = offsets.copy()
     for n, parent in enumerate(parents):
         positions[n] += positions[parent] if parent >= 0 else 0.0
