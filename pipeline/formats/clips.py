@@ -191,9 +191,8 @@ def _clip_of_take(take: Take) -> Clip:
             "this is a raw take: clean it, or draw it beside its clip with --compare"
         )
     body = measure_body(take)
-    rotations = rotations_from_positions(
-        fill_missing_joints(take.positions, body), body
-    )
+    filled = fill_missing_joints(take.positions, body)
+    rotations = rotations_from_positions(filled, body)
     root = take.positions[:, take.skeleton.root]
     motion = Motion(
         time=take.time, body=body, root=root, rotations=rotations, source=take.source

@@ -81,7 +81,6 @@ def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             timeout=timeout,
-            check=False,
         )
     except subprocess.TimeoutExpired:
         wrong = f"took over {timeout:.0f} s and was ended; write .glb, or cut the take"
