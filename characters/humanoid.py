@@ -54,8 +54,7 @@ _GROUPS = {
     "trunk": (_TRUNK, ["left arm", "right arm"]),
 }
 _BITS = {group: 1 << bit for bit, group in enumerate(_GROUPS, start=1)}
-FLOOR_BIT = 1 << 6
-"""Collision bit of the floor where there are several characters."""
+FLOOR_BIT = 1 << 6  # collision bit of the floor where there are several characters
 _FIRST_BIT = 7  # of the characters' own
 # What people touch each other with: a trunk yields by some centimeters before it moves.
 # Guesses.

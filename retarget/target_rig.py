@@ -40,10 +40,8 @@ class RestPose:
     """Joints of a skeleton in T- or A-pose, with any heading, parents first."""
 
     names: tuple[str, ...]
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
-    positions: Array
-    """Positions [m], y up, shape (N, 3)."""
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for the root
+    positions: Array  # positions [m], y up, shape (N, 3)
     axes: Array | None = None
     """World rotation of each joint's own axes, wxyz, shape (N, 4); None: identity."""
     lowest: float | None = None
@@ -64,16 +62,11 @@ class Twist(NamedTuple):
     about its segment by a share of the twist.
     """
 
-    limb: int
-    """Index of the joint whose segment it is on."""
-    joint: int
-    """Index of the joint whose twist about that segment it shares."""
-    above: int
-    """Index of the turned joint against which that joint twists."""
-    axis: Array
-    """Direction of the segment in the rest pose, unit length, (3,)."""
-    share: float
-    """Share of the twist by which it is turned against the segment."""
+    limb: int  # index of the joint whose segment it is on
+    joint: int  # index of the joint whose twist about that segment it shares
+    above: int  # index of the turned joint against which that joint twists
+    axis: Array  # direction of the segment in the rest pose, unit length, (3,)
+    share: float  # share of the twist by which it is turned against the segment
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +76,7 @@ class TargetRig:
     rest: RestPose
     parts: dict[str, tuple[int, ...]]
     """Joints that each part turns, parents before children."""
-    floor: float
-    """Height of the floor [m]."""
+    floor: float  # height of the floor [m]
     twists: dict[int, Twist] = field(default_factory=dict)
     """What turns each twist bone, by index of its joint."""
     followed: dict[int, int] = field(default_factory=dict)
