@@ -42,8 +42,7 @@ _FILES = {
     "lab.commands.rate": "rate, ratings",
 }
 """Modules in ``pipeline``, with the commands in each."""
-COMMANDS = ", ".join(_GROUPS.values()).split(", ")
-"""Names of the commands, by group."""
+COMMANDS = ", ".join(_GROUPS.values()).split(", ")  # names of the commands, by group
 
 _ABOUT = f"""Turn noisy Kinect takes into clips that animators ship.
 

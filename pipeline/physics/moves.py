@@ -23,12 +23,10 @@ class Move:
     Several moves in a row have a leading axis T.
     """
 
-    duration: Any
-    """Time that it takes [s]."""
+    duration: Any  # time that it takes [s]
     before: tuple[Array, Array]
     """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
-    after: tuple[Array, Array]
-    """The same at its end."""
+    after: tuple[Array, Array]  # the same at its end
     forward: Array
     """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
     left_share: Any

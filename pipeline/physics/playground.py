@@ -30,8 +30,7 @@ from .pulled_character import PulledCharacter
 from .scene_props import SceneProps
 from .world import World
 
-RATE = 30.0
-"""Frame rate [1/s] of the motion and of recordings."""
+RATE = 30.0  # frame rate [1/s] of the motion and of recordings
 _BALL_MASS, _BALL_SPEED = 5.0, 10.0  # kg, m/s
 _BALLS, _BALL_RADIUS = 6, 0.13  # m: a medicine ball
 _BALL = "thrown ball"
