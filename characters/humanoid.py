@@ -144,18 +144,10 @@ def _add_firm_flesh(geom: mujoco.MjsGeom, number: int, count: int) -> None:
     """Add a geom of the same shape that only those of the other characters touch."""
     own = 1 << (_FIRST_BIT + number)
     everyone = ((1 << count) - 1) << _FIRST_BIT
-    geom.parent.add_geom(
-        name=f"{geom.name}:firm",
-        type=geom.type,
-        size=geom.size,
-        pos=geom.pos,
-        fromto=geom.fromto,
-        mass=0.0,
-        contype=own,
-        conaffinity=everyone & ~own,
-        group=_UNSEEN,
-        **_FIRM_FLESH,
-    )
+    shape = {key: getattr(geom, key) for key in ("type", "size", "pos", "fromto")}
+    bits = {"contype": own, "conaffinity": everyone & ~own, "group": _UNSEEN}
+    name = f"{geom.name}:firm"
+    geom.parent.add_geom(name=name, mass=0.0, **shape, **bits, **_FIRM_FLESH)
 
 
 def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
@@ -197,14 +189,9 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         if name.startswith("Foot"):
             # Only the toes of a capsule from ankle to toes would touch the floor.
             height = float(body.rest_positions[p, 1] - body.radii[j])
-            parts[j].add_geom(
-                name=name.replace("Foot", "Heel"),
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                pos=[0.0, 0.0, -height],
-                mass=0.0,
-                **_collisions(""),
-                **flesh,
-            )
+            heel, bits = name.replace("Foot", "Heel"), _collisions("")
+            ball = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "pos": [0.0, 0.0, -height]}
+            parts[j].add_geom(name=heel, mass=0.0, **ball, **bits, **flesh)
 
 
 def _collisions(name: str) -> dict[str, int]:

@@ -31,25 +31,15 @@ def add_ties(spec: mujoco.MjSpec, characters: int = 1) -> None:
 
     Props without names get that of ``SceneProps``, as ties need one.
     """
-    free = mujoco.mjtJoint.mjJNT_FREE
-    props = [
-        (k, body)
-        for k, body in enumerate(spec.bodies)
-        if any(joint.type == free for joint in body.joints)
-    ]
+    free, bodies = mujoco.mjtJoint.mjJNT_FREE, enumerate(spec.bodies)
+    props = [(k, b) for k, b in bodies if any(joint.type == free for joint in b.joints)]
     hands = [f"{prefix_of(n)}{hand}" for n in range(characters) for hand in HANDS]
     for k, prop in props[characters:]:  # the first are the characters' roots
         prop.name = prop.name or f"body{k}"
         for hand in hands:
-            spec.add_equality(
-                name=f"hold:{prop.name}:{hand}",
-                type=mujoco.mjtEq.mjEQ_CONNECT,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                name1=hand,
-                name2=prop.name,
-                active=False,
-                solref=[0.02, 1.0],
-            )
+            tie = spec.add_equality(name=f"hold:{prop.name}:{hand}", active=False)
+            tie.type, tie.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
+            tie.name1, tie.name2, tie.solref = hand, prop.name, [0.02, 1.0]
 
 
 def _props_of(model: mujoco.MjModel) -> Indices:
