@@ -224,9 +224,8 @@ def _spread(missing: Array, faster: Array, share: Array) -> Array:
 def _turns(vectors: Array) -> Array:
     """Return rotations, wxyz, about vectors (..., 3) by their length [rad]."""
     half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.concatenate(
-        [np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors], axis=-1
-    )
+    axes = 0.5 * np.sinc(half / np.pi) * vectors
+    return np.concatenate([np.cos(half), axes], axis=-1)
 
 
 def _joined(time: Array, moves: Array, planted: Flags) -> Array:

@@ -21,11 +21,8 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array, check_kind
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
+from kinefilter.retarget import fill_missing_joints, rotations_from_positions
 from kinefilter.retarget.looping import repeated
-from kinefilter.retarget.orientation import (
-    fill_missing_joints,
-    rotations_from_positions,
-)
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
