@@ -34,13 +34,9 @@ class Move:
 
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
-        return Move(
-            float(self.duration[k]),
-            (self.before[0][k], self.before[1][k]),
-            (self.after[0][k], self.after[1][k]),
-            self.forward[k],
-            float(self.left_share[k]),
-        )
+        before, after = ((p[k], q[k]) for p, q in (self.before, self.after))
+        share = float(self.left_share[k])
+        return Move(float(self.duration[k]), before, after, self.forward[k], share)
 
 
 class MovePlanner:

@@ -103,12 +103,11 @@ class SceneProps:
         color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
         if material >= 0 and np.allclose(color, _UNSET):
             color = model.mat_rgba[material]
-        return Shape(
-            kind,
-            from_mujoco(model.geom_size[geom][sizes]),
+        size = from_mujoco(model.geom_size[geom][sizes])
+        place, turn = (
             from_mujoco(model.geom_pos[geom]),
             from_mujoco(model.geom_quat[geom]),
-            color[:3].astype(float),
-            points,
-            triangles,
+        )
+        return Shape(
+            kind, size, place, turn, color[:3].astype(float), points, triangles
         )
