@@ -219,9 +219,8 @@ def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     skeleton = body.skeleton
     for joint, mass in zip(skeleton.joints, joint_masses(body), strict=True):
         for axis in range(3):
-            pull = spec.add_actuator(
-                name=f"pull:{joint}:{'xyz'[axis]}", target=joint, refsite="world"
-            )
+            name = f"pull:{joint}:{'xyz'[axis]}"
+            pull = spec.add_actuator(name=name, target=joint, refsite="world")
             pull.gear = np.eye(6)[axis]
             bound = mass * tracking.largest_acceleration / np.sqrt(3.0)
             _set_gains(pull, mass, tracking.natural_frequency, bound)
@@ -234,9 +233,8 @@ def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
         at_root = j == skeleton.root
         turns = np.eye(3) if at_root else [axes[j] / np.linalg.norm(axes[j])]
         for k, direction in enumerate(turns):
-            turn = spec.add_actuator(
-                name=f"turn:{joint}:{k}", target=joint, refsite=f"target:{joint}"
-            )
+            name, site = f"turn:{joint}:{k}", f"target:{joint}"
+            turn = spec.add_actuator(name=name, target=joint, refsite=site)
             turn.gear = [0.0, 0.0, 0.0, *direction]
             bound = inertias[j] * tracking.largest_angular_acceleration
             _set_gains(turn, inertias[j], tracking.twist_frequency, bound)

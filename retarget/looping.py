@@ -153,9 +153,8 @@ def _goals(
         # A heel or toes that are planted only at the end leave the floor.
         planted &= (share <= 0.0)[:, None] | planted[0] | ~planted[-1]
         moves = paths - posed[:, foot]
-        goals[:, foot] += np.stack(
-            [_joined(time, moves[:, k], planted[:, k]) for k in range(2)], axis=1
-        )
+        joined = [_joined(time, moves[:, k], planted[:, k]) for k in range(2)]
+        goals[:, foot] += np.stack(joined, axis=1)
     contacts[-1] = contacts[0]
     return goals, contacts
 

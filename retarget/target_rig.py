@@ -162,9 +162,8 @@ def chained(offsets: Array, parents: Sequence[int]) -> Array:
 
 def _trunk_scale(rig: TargetRig, body: Body) -> Array:
     """Return the size of a person's trunk relative to the rig's, shape (3,)."""
-    hips, shoulders = (
-        body.rest_positions[body.skeleton.sides(joint)] for joint in ("Hip", "Shoulder")
-    )
+    rest, sides = body.rest_positions, body.skeleton.sides
+    hips, shoulders = rest[sides("Hip")], rest[sides("Shoulder")]
     width = rig.bone("right upper arm", "left upper arm")[0]
     up, down = (rig.bone("pelvis", f"left {p}")[1] for p in ("upper arm", "thigh"))
     height = (shoulders - hips)[:, 1].mean() + down

@@ -201,9 +201,8 @@ class Job:
         if row.status == "failed" or row.settings != self.fingerprint:
             return False
         try:
-            same = self.stamp == row.stamp or row.sha256 == " ".join(
-                source.store.sha256(source.file.name) for source in self.sources
-            )
+            hashes = (source.store.sha256(source.file.name) for source in self.sources)
+            same = self.stamp == row.stamp or row.sha256 == " ".join(hashes)
             return (same and row.output == self.output) and all(
                 (file := written.get(clip.output)) is not None
                 and (

@@ -96,9 +96,8 @@ class Session:
             self._warm_up()
             async with AsyncExitStack() as stack:
                 for target in self.endpoints.targets:
-                    sink, place = await stack.enter_async_context(
-                        open_sink(target, access, self._skeleton, self.tally, stop.set)
-                    )
+                    to = open_sink(target, access, self._skeleton, self.tally, stop.set)
+                    sink, place = await stack.enter_async_context(to)
                     self._sinks.append(sink)
                     used.append(place)
                 work = [self._pump(), self._tick(), self._record(), stop.wait()]

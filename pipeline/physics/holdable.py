@@ -144,10 +144,8 @@ class Holdable:
     def tie(self, hands: Array) -> None:
         """Tie the hands to the faces where they are, at (2, 3) [m]."""
         data = self._data
-        inward = self._palm * unit(hands[::-1] - hands)
-        for hand, tie, point in zip(
-            self._hands, self._ties, to_mujoco(hands + inward), strict=True
-        ):
+        points = to_mujoco(hands + self._palm * unit(hands[::-1] - hands))
+        for hand, tie, point in zip(self._hands, self._ties, points, strict=True):
             for body, part in ((hand, 0), (self._body, 3)):
                 turn = data.xmat[body].reshape(3, 3)
                 local = turn.T @ (point - data.xpos[body])

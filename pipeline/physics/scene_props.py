@@ -108,6 +108,5 @@ class SceneProps:
             from_mujoco(model.geom_pos[geom]),
             from_mujoco(model.geom_quat[geom]),
         )
-        return Shape(
-            kind, size, place, turn, color[:3].astype(float), points, triangles
-        )
+        rgb = color[:3].astype(float)
+        return Shape(kind, size, place, turn, rgb, points, triangles)
