@@ -9,6 +9,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.humanoid import from_mujoco, prefix_of, to_mujoco
 from kinefilter.characters.rotations import cross, unit
+from kinefilter.retarget.reach import at_most
 
 HANDS = ("HandLeft", "HandRight")
 HORIZONTAL = np.array([1.0, 0.0, 1.0])
@@ -199,5 +200,4 @@ class Holdable:
         up, spin = data.xmat[body].reshape(3, 3) @ self._lay, data.cvel[body, :3]
         turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
         torque = float(self._model.body_inertia[body].max()) * turning
-        size = float(np.linalg.norm(torque))
-        data.xfrc_applied[body, 3:] = torque * min(1.0, _WRISTS / max(size, 1e-9))
+        data.xfrc_applied[body, 3:] = at_most(_WRISTS, torque)

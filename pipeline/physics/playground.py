@@ -23,6 +23,7 @@ from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget.reach import at_most
 from kinefilter.retarget.stance import smooth_step
 
 from .grasp import seen_hands
@@ -114,9 +115,7 @@ class Playground:
         if self._dragged is not None:
             number, joint, grabbed, pointer = self._dragged
             away = pointer - self.characters[number].positions[joint] - grabbed
-            force = _STIFFNESS * away
-            size = float(np.linalg.norm(force))
-            self._push(number, joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
+            self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
         moves, feet = [], []
         for character, motion in self._pairs:
             positions, rotations, stands = self._target(motion)
