@@ -96,8 +96,9 @@ class Session:
             self._warm_up()
             async with AsyncExitStack() as stack:
                 for target in self.endpoints.targets:
-                    to = open_sink(target, access, self._skeleton, self.tally, stop.set)
-                    sink, place = await stack.enter_async_context(to)
+                    sink, place = await stack.enter_async_context(
+                        open_sink(target, access, self._skeleton, self.tally, stop.set)
+                    )
                     self._sinks.append(sink)
                     used.append(place)
                 work = [self._pump(), self._tick(), self._record(), stop.wait()]
