@@ -21,8 +21,7 @@ from .errors import InputError
 from .rotations import unit
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
-GRAVITY = 9.81
-"""Standard gravity [m/s^2], rounded as MuJoCo rounds it."""
+GRAVITY = 9.81  # standard gravity [m/s^2], rounded as MuJoCo rounds it
 
 STANDARD_HEIGHT = 1.75
 """Stature [m] of the standard body, on which postures are compared."""

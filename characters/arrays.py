@@ -17,10 +17,8 @@ Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-Codes = NDArray[np.uint8]
-"""Integer codes of an enumeration, such as State."""
-Lengths = tuple[int | None, ...]
-"""Shape of an array; None where any length is allowed."""
+Codes = NDArray[np.uint8]  # integer codes of an enumeration, such as State
+Lengths = tuple[int | None, ...]  # shape of an array; None where any length is allowed
 Number = TypeVar("Number", bound=np.generic)
 
 

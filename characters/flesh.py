@@ -33,19 +33,14 @@ _PONDERAL = 12.6  # kg/m^3, average: mass over cubed stature
 class Flesh:
     """C tapered and flattened capsules (or spheres) in the T-pose."""
 
-    starts: Array
-    """Start points [m], shape (C, 3)."""
-    ends: Array
-    """End points [m], shape (C, 3)."""
-    radii: Array
-    """Radii at starts and ends [m], before flattening, shape (C, 2)."""
-    scales: Array
-    """Factors on the thickness along x, y and z, shape (C, 3)."""
+    starts: Array  # start points [m], shape (C, 3)
+    ends: Array  # end points [m], shape (C, 3)
+    radii: Array  # radii at starts and ends [m], before flattening, shape (C, 2)
+    scales: Array  # factors on the thickness along x, y and z, shape (C, 3)
     segments: Indices
     """Segment that each moves with (by the joint at which it ends; the root is the
     pelvis), shape (C,)."""
-    limbs: Indices
-    """0 for the trunk, 1 to 4 for arms and legs, shape (C,)."""
+    limbs: Indices  # 0 for the trunk, 1 to 4 for arms and legs, shape (C,)
 
     @property
     def reaches(self) -> Array:
@@ -111,9 +106,7 @@ class _Sculptor:
 
     body: Body
     thinnest: float
-    rows: list[tuple[Array, Array, tuple[float, float], Array, int]] = field(
-        default_factory=list
-    )
+    rows: list[tuple[Any, ...]] = field(default_factory=list)
 
     def add(
         self,

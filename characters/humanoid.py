@@ -54,8 +54,7 @@ _GROUPS = {
     "trunk": (_TRUNK, ["left arm", "right arm"]),
 }
 _BITS = {group: 1 << bit for bit, group in enumerate(_GROUPS, start=1)}
-FLOOR_BIT = 1 << 6
-"""Collision bit of the floor where there are several characters."""
+FLOOR_BIT = 1 << 6  # collision bit of the floor where there are several characters
 _FIRST_BIT = 7  # of the characters' own
 # What people touch each other with: a trunk yields by some centimeters before it moves.
 # Guesses.
@@ -145,18 +144,10 @@ def _add_firm_flesh(geom: mujoco.MjsGeom, number: int, count: int) -> None:
     """Add a geom of the same shape that only those of the other characters touch."""
     own = 1 << (_FIRST_BIT + number)
     everyone = ((1 << count) - 1) << _FIRST_BIT
-    geom.parent.add_geom(
-        name=f"{geom.name}:firm",
-        type=geom.type,
-        size=geom.size,
-        pos=geom.pos,
-        fromto=geom.fromto,
-        mass=0.0,
-        contype=own,
-        conaffinity=everyone & ~own,
-        group=_UNSEEN,
-        **_FIRM_FLESH,
-    )
+    shape = {key: getattr(geom, key) for key in ("type", "size", "pos", "fromto")}
+    bits = {"contype": own, "conaffinity": everyone & ~own, "group": _UNSEEN}
+    name = f"{geom.name}:firm"
+    geom.parent.add_geom(name=name, mass=0.0, **shape, **bits, **_FIRM_FLESH)
 
 
 def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
@@ -198,14 +189,9 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         if name.startswith("Foot"):
             # Only the toes of a capsule from ankle to toes would touch the floor.
             height = float(body.rest_positions[p, 1] - body.radii[j])
-            parts[j].add_geom(
-                name=name.replace("Foot", "Heel"),
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                pos=[0.0, 0.0, -height],
-                mass=0.0,
-                **_collisions(""),
-                **flesh,
-            )
+            heel, bits = name.replace("Foot", "Heel"), _collisions("")
+            ball = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "pos": [0.0, 0.0, -height]}
+            parts[j].add_geom(name=heel, mass=0.0, **ball, **bits, **flesh)
 
 
 def _collisions(name: str) -> dict[str, int]:
@@ -233,9 +219,8 @@ def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     skeleton = body.skeleton
     for joint, mass in zip(skeleton.joints, joint_masses(body), strict=True):
         for axis in range(3):
-            pull = spec.add_actuator(
-                name=f"pull:{joint}:{'xyz'[axis]}", target=joint, refsite="world"
-            )
+            name = f"pull:{joint}:{'xyz'[axis]}"
+            pull = spec.add_actuator(name=name, target=joint, refsite="world")
             pull.gear = np.eye(6)[axis]
             bound = mass * tracking.largest_acceleration / np.sqrt(3.0)
             _set_gains(pull, mass, tracking.natural_frequency, bound)
@@ -248,9 +233,8 @@ def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
         at_root = j == skeleton.root
         turns = np.eye(3) if at_root else [axes[j] / np.linalg.norm(axes[j])]
         for k, direction in enumerate(turns):
-            turn = spec.add_actuator(
-                name=f"turn:{joint}:{k}", target=joint, refsite=f"target:{joint}"
-            )
+            name, site = f"turn:{joint}:{k}", f"target:{joint}"
+            turn = spec.add_actuator(name=name, target=joint, refsite=site)
             turn.gear = [0.0, 0.0, 0.0, *direction]
             bound = inertias[j] * tracking.largest_angular_acceleration
             _set_gains(turn, inertias[j], tracking.twist_frequency, bound)

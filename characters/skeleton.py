@@ -88,10 +88,7 @@ class Skeleton:
     @cached_property
     def order(self) -> tuple[int, ...]:
         """Joint indices sorted so that every parent precedes its children."""
-        ordered = [self.root]
-        for joint in ordered:
-            ordered.extend(self.children[joint])
-        return tuple(ordered)
+        return (self.root, *self.descendants(self.root))
 
     @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
@@ -134,41 +131,32 @@ class Skeleton:
         return np.array([self.index(partner) for partner in partners])
 
 
-def _skeleton(name: str, hierarchy: str) -> Skeleton:
+def _skeleton(name: str, *hierarchy: str) -> Skeleton:
     """Return a skeleton from ``joint:parent`` words in the sensor's order."""
-    pairs = [word.partition(":")[::2] for word in hierarchy.split()]
+    pairs = [word.partition(":")[::2] for word in " ".join(hierarchy).split()]
     joints = tuple(joint for joint, _ in pairs)
     return Skeleton(name, joints, tuple(joints.index(p) if p else -1 for _, p in pairs))
 
 
+_LIMBS = """
+ShoulderLeft:{0} ElbowLeft:ShoulderLeft WristLeft:ElbowLeft HandLeft:WristLeft
+ShoulderRight:{0} ElbowRight:ShoulderRight WristRight:ElbowRight HandRight:WristRight
+HipLeft:{1} KneeLeft:HipLeft AnkleLeft:KneeLeft FootLeft:AnkleLeft
+HipRight:{1} KneeRight:HipRight AnkleRight:KneeRight FootRight:AnkleRight
+"""
 KINECT_V1 = _skeleton(
     "kinect_v1",
-    """
-    HipCenter Spine:HipCenter ShoulderCenter:Spine Head:ShoulderCenter
-    ShoulderLeft:ShoulderCenter ElbowLeft:ShoulderLeft WristLeft:ElbowLeft
-    HandLeft:WristLeft
-    ShoulderRight:ShoulderCenter ElbowRight:ShoulderRight WristRight:ElbowRight
-    HandRight:WristRight
-    HipLeft:HipCenter KneeLeft:HipLeft AnkleLeft:KneeLeft FootLeft:AnkleLeft
-    HipRight:HipCenter KneeRight:HipRight AnkleRight:KneeRight FootRight:AnkleRight
-    """,
+    "HipCenter Spine:HipCenter ShoulderCenter:Spine Head:ShoulderCenter",
+    _LIMBS.format("ShoulderCenter", "HipCenter"),
 )
 """Kinect for Windows SDK 1.x: 20 joints, 19 segments, in the SDK's order."""
 
 KINECT_V2 = _skeleton(
     "kinect_v2",
-    """
-    SpineBase SpineMid:SpineBase Neck:SpineShoulder Head:Neck
-    ShoulderLeft:SpineShoulder ElbowLeft:ShoulderLeft WristLeft:ElbowLeft
-    HandLeft:WristLeft
-    ShoulderRight:SpineShoulder ElbowRight:ShoulderRight WristRight:ElbowRight
-    HandRight:WristRight
-    HipLeft:SpineBase KneeLeft:HipLeft AnkleLeft:KneeLeft FootLeft:AnkleLeft
-    HipRight:SpineBase KneeRight:HipRight AnkleRight:KneeRight FootRight:AnkleRight
-    SpineShoulder:SpineMid
-    HandTipLeft:HandLeft ThumbLeft:WristLeft HandTipRight:HandRight
-    ThumbRight:WristRight
-    """,
+    "SpineBase SpineMid:SpineBase Neck:SpineShoulder Head:Neck",
+    _LIMBS.format("SpineShoulder", "SpineBase"),
+    "SpineShoulder:SpineMid HandTipLeft:HandLeft ThumbLeft:WristLeft",
+    "HandTipRight:HandRight ThumbRight:WristRight",
 )
 """Kinect for Windows SDK 2.0: 25 joints, 24 segments, in the SDK's order."""
 

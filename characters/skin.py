@@ -45,10 +45,8 @@ _JUST_INSIDE = 1e-6  # m
 class Skin:
     """A closed mesh around a body in the T-pose."""
 
-    points: Array
-    """Points of the T-pose [m], shape (P, 3)."""
-    normals: Array
-    """Unit vectors pointing out of the body, shape (P, 3)."""
+    points: Array  # points of the T-pose [m], shape (P, 3)
+    normals: Array  # unit vectors pointing out of the body, shape (P, 3)
     quads: Indices
     """Point indices of each face, counterclockwise from outside, shape (Q, 4)."""
     segments: Indices

@@ -42,10 +42,9 @@ _FILES = {
     "lab.commands.rate": "rate, ratings",
 }
 """Modules in ``pipeline``, with the commands in each."""
-COMMANDS = ", ".join(_GROUPS.values()).split(", ")
-"""Names of the commands, by group."""
+COMMANDS = ", ".join(_GROUPS.values()).split(", ")  # names of the commands, by group
 
-_DESCRIPTION = f"""Turn noisy Kinect takes into clips that animators ship.
+_ABOUT = f"""Turn noisy Kinect takes into clips that animators ship.
 
 {chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
 
@@ -122,11 +121,7 @@ def _read(words: Sequence[str]) -> Any:
             listed.append(Annotated[kind, subcommand(name, description=summary)])
         union: Any = reduce(or_, listed)
         return tyro.cli(
-            union,
-            prog="kinefilter",
-            description=_DESCRIPTION,
-            args=words,
-            config=_CONFIG,
+            union, prog="kinefilter", description=_ABOUT, args=words, config=_CONFIG
         )
 
 

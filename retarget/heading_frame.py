@@ -17,10 +17,8 @@ from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 class HeadingFrame:
     """Position and heading of a character."""
 
-    root: Array
-    """Position of the root joint [m], world frame, shape (..., 3)."""
-    yaw: Array
-    """Heading: angle about the vertical axis [rad], 0 facing +z, shape (...)."""
+    root: Array  # position of the root joint [m], world frame, shape (..., 3)
+    yaw: Array  # heading: angle about the vertical axis [rad], 0 facing +z, shape (...)
 
     def at(self, frames: Any) -> HeadingFrame:
         """Return the heading frame of some frames, or of one."""

@@ -153,9 +153,8 @@ def _goals(
         # A heel or toes that are planted only at the end leave the floor.
         planted &= (share <= 0.0)[:, None] | planted[0] | ~planted[-1]
         moves = paths - posed[:, foot]
-        goals[:, foot] += np.stack(
-            [_joined(time, moves[:, k], planted[:, k]) for k in range(2)], axis=1
-        )
+        joined = [_joined(time, moves[:, k], planted[:, k]) for k in range(2)]
+        goals[:, foot] += np.stack(joined, axis=1)
     contacts[-1] = contacts[0]
     return goals, contacts
 
@@ -224,9 +223,8 @@ def _spread(missing: Array, faster: Array, share: Array) -> Array:
 def _turns(vectors: Array) -> Array:
     """Return rotations, wxyz, about vectors (..., 3) by their length [rad]."""
     half = 0.5 * np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.concatenate(
-        [np.cos(half), 0.5 * np.sinc(half / np.pi) * vectors], axis=-1
-    )
+    axes = 0.5 * np.sinc(half / np.pi) * vectors
+    return np.concatenate([np.cos(half), axes], axis=-1)
 
 
 def _joined(time: Array, moves: Array, planted: Flags) -> Array:

@@ -60,7 +60,7 @@ class Reach:
         spine = moved[self._arms[:, 0]].mean(axis=0) - root
         turn = between(spine, spine + lean)
         moved[self._trunk] = root + rotate(turn, moved[self._trunk] - root)
-        moved[self._upper] += _at_most(_DEEPEST, spine + lean - rotate(turn, spine))
+        moved[self._upper] += at_most(_DEEPEST, spine + lean - rotate(turn, spine))
 
     def _lean(self, positions: Array, wrists: Array) -> Array:
         """Return the move of the shoulders [m] that lets the arms reach, (3,)."""
@@ -72,10 +72,11 @@ class Reach:
             far = np.maximum(np.linalg.norm(lines, axis=-1), 1e-9)
             share = np.maximum(1.0 - longest / far, 0.0)
             lean += (share[:, None] * lines).mean(axis=0)
-        return _at_most(_FARTHEST, lean)
+        return at_most(_FARTHEST, lean)
 
 
-def _at_most(most: float, vector: Array) -> Array:
+def at_most(most: float, vector: Array) -> Array:
+    """Return a vector, shortened if it is longer than ``most``."""
     return np.asarray(vector * (most / max(float(np.linalg.norm(vector)), most)))
 
 

@@ -62,10 +62,8 @@ _UP, _LEVEL = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0])
 class Retargeted(NamedTuple):
     """Motion of the joints of another skeleton."""
 
-    rotations: Array
-    """World rotations from the rest pose, wxyz, shape (T, N, 4)."""
-    positions: Array
-    """Positions [m], floor at y = 0, shape (T, N, 3)."""
+    rotations: Array  # world rotations from the rest pose, wxyz, shape (T, N, 4)
+    positions: Array  # positions [m], floor at y = 0, shape (T, N, 3)
 
 
 def retarget(clip: Clip, rig: TargetRig) -> Retargeted:

@@ -66,8 +66,7 @@ CHAINS = {
     for part, above in _LIMBS.items()
 } | {"spine": "pelvis", "neck": "pelvis", "head": "pelvis"}
 """Parent of each part of the body."""
-PARTS = ("pelvis", *CHAINS)
-"""Parts of the body that turn bones."""
+PARTS = ("pelvis", *CHAINS)  # parts of the body that turn bones
 OPTIONAL = {"neck", *(f"{s} {part}" for s in SIDES for part in ("clavicle", "toes"))}
 """Parts that a skeleton may lack."""
 _SEVERAL = ("spine", "neck")
@@ -118,19 +117,13 @@ class MapBone:
     at: float = 0.0
     follows: str | None = None
 
-    @property
-    def is_built(self) -> bool:
-        """Whether it is part of skeletons that are built from the map."""
-        return bool(self.offset is not None or self.twist_of or self.follows)
-
 
 @dataclass(frozen=True)
 class RigMap:
     """Names, hierarchy and rest pose of another skeleton, parents before children."""
 
     name: str
-    prefix: str
-    """Prefix of all names, which some files omit."""
+    prefix: str  # prefix of all names, which some files omit
     bones: tuple[MapBone, ...]
     axes_in_bvh: bool = False
     """True if motion in BVH, which has no rest rotations, is in the bones' axes."""
@@ -288,8 +281,7 @@ class SourceRig:
     """A skeleton from which motion is read, by Kinect joint."""
 
     name: str
-    title: str
-    """What the names are, for messages."""
+    title: str  # what the names are, for messages
     joints: dict[str, SourceJoint]
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -39,10 +40,8 @@ class RestPose:
     """Joints of a skeleton in T- or A-pose, with any heading, parents first."""
 
     names: tuple[str, ...]
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
-    positions: Array
-    """Positions [m], y up, shape (N, 3)."""
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for the root
+    positions: Array  # positions [m], y up, shape (N, 3)
     axes: Array | None = None
     """World rotation of each joint's own axes, wxyz, shape (N, 4); None: identity."""
     lowest: float | None = None
@@ -63,16 +62,11 @@ class Twist(NamedTuple):
     about its segment by a share of the twist.
     """
 
-    limb: int
-    """Index of the joint whose segment it is on."""
-    joint: int
-    """Index of the joint whose twist about that segment it shares."""
-    above: int
-    """Index of the turned joint against which that joint twists."""
-    axis: Array
-    """Direction of the segment in the rest pose, unit length, (3,)."""
-    share: float
-    """Share of the twist by which it is turned against the segment."""
+    limb: int  # index of the joint whose segment it is on
+    joint: int  # index of the joint whose twist about that segment it shares
+    above: int  # index of the turned joint against which that joint twists
+    axis: Array  # direction of the segment in the rest pose, unit length, (3,)
+    share: float  # share of the twist by which it is turned against the segment
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +76,7 @@ class TargetRig:
     rest: RestPose
     parts: dict[str, tuple[int, ...]]
     """Joints that each part turns, parents before children."""
-    floor: float
-    """Height of the floor [m]."""
+    floor: float  # height of the floor [m]
     twists: dict[int, Twist] = field(default_factory=dict)
     """What turns each twist bone, by index of its joint."""
     followed: dict[int, int] = field(default_factory=dict)
@@ -118,7 +111,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     person's; the rest scales with the stature. The soles are at y = 0. An InputError
     says if the map lacks offsets.
     """
-    bones = [bone for bone in rig_map.bones if bone.is_built]
+    bones = [b for b in rig_map.bones if b.offset or b.twist_of or b.follows]
     names = tuple(bone.name for bone in bones)
     for bone in bones:
         if bone.parent is not None and bone.parent not in names:
@@ -139,12 +132,12 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
         if bone.twist_of:
             end = BEYOND[bones[parents[n]].part or ""]
             offsets[n] = bone.at * offsets[[b.part for b in bones].index(end)]
-    positions = _chained(offsets, parents)
+    positions = chained(offsets, parents)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
     rig = matched_rig(rig_map, rest, body)
     for part in _TRUNK & rig.parts.keys():
         offsets[list(rig.parts[part])] *= _trunk_scale(rig, body)
-    positions = _chained(offsets, parents)
+    positions = chained(offsets, parents)
     joints, height = _lowest(rig, body)
     moving = [rig.joint("pelvis")]  # and its descendants
     for n in range(moving[0] + 1, len(rest)):
@@ -159,7 +152,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     return replace(rig, rest=rest, floor=0.0)
 
 
-def _chained(offsets: Array, parents: list[int]) -> Array:
+def chained(offsets: Array, parents: Sequence[int]) -> Array:
+    """Return positions (N, 3) from offsets from parents (-1: none), parents first."""
     positions = offsets.copy()
     for n, parent in enumerate(parents):
         positions[n] += positions[parent] if parent >= 0 else 0.0
@@ -168,9 +162,8 @@ def _chained(offsets: Array, parents: list[int]) -> Array:
 
 def _trunk_scale(rig: TargetRig, body: Body) -> Array:
     """Return the size of a person's trunk relative to the rig's, shape (3,)."""
-    hips, shoulders = (
-        body.rest_positions[body.skeleton.sides(joint)] for joint in ("Hip", "Shoulder")
-    )
+    rest, sides = body.rest_positions, body.skeleton.sides
+    hips, shoulders = rest[sides("Hip")], rest[sides("Shoulder")]
     width = rig.bone("right upper arm", "left upper arm")[0]
     up, down = (rig.bone("pelvis", f"left {p}")[1] for p in ("upper arm", "thigh"))
     height = (shoulders - hips)[:, 1].mean() + down

@@ -255,7 +255,7 @@ def test_vrma_moves_every_bone_as_the_vrm_rig_moves(
     write_clip(clip, tmp_path / "clip.vrma")
     found = three(tmp_path / "clip.vrma")
     rig = target_rig("vrm", None, clip.body)
-    moved = retargeted_motion(rig, retarget(clip, rig), clip.skeleton)
+    moved = retargeted_motion(rig, retarget(clip, rig), clip.skeleton, "travel")
     turns = moved.rig.local_rotations(moved.rotations)
     assert set(found["bones"]["turns"]) == set(moved.rig.names)
     for n, name in enumerate(moved.rig.names):

@@ -76,10 +76,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
             f"{', '.join(_TAKES)}, or .gz of these; check the name"
         )
     names = unique_names(printable(source.take) for source in sources.values())
-    return [
-        replace(source, take=name)
-        for source, name in zip(sources.values(), names, strict=True)
-    ]
+    pairs = zip(sources.values(), names, strict=True)
+    return [replace(source, take=name) for source, name in pairs]
 
 
 def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
@@ -203,9 +201,8 @@ class Job:
         if row.status == "failed" or row.settings != self.fingerprint:
             return False
         try:
-            same = self.stamp == row.stamp or row.sha256 == " ".join(
-                source.store.sha256(source.file.name) for source in self.sources
-            )
+            hashes = (source.store.sha256(source.file.name) for source in self.sources)
+            same = self.stamp == row.stamp or row.sha256 == " ".join(hashes)
             return (same and row.output == self.output) and all(
                 (file := written.get(clip.output)) is not None
                 and (
@@ -258,22 +255,14 @@ def plan_jobs(
         _check(one, store, suffix)
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
+    named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]
     several = any(one.body == "all" or one.config.gaps == "split" for one in chosen)
-    stems = [
-        take + _SESSION * (len(session.sources) > 1)
-        for take, session in zip(takes, sessions, strict=True)
-    ]
+    stems = [one.take + _SESSION * (len(one.sources) > 1) for one in named]
     names = clip_names(stems, suffix, several=several)
     hashed = cache(partial(fingerprint, suffix=suffix))
     jobs = [
-        Job(
-            *session._replace(take=take),
-            store,
-            name,
-            hashed(session.settings),
-            take_timeout,
-        )
-        for take, session, name in zip(takes, sessions, names, strict=True)
+        Job(*one, store, name, hashed(one.settings), take_timeout)
+        for one, name in zip(named, names, strict=True)
     ]
     _check_one_person_each(jobs)
     places, root = {source.place for source in sources}, canonical(store.root)

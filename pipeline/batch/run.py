@@ -89,13 +89,9 @@ def clean_files(
     """
     store = store_at(out)
     sources = find_sources(inputs, out)
+    settings = settings or Settings()
     planned = plan_jobs(
-        sources,
-        store,
-        settings or Settings(),
-        suffix,
-        given=given,
-        take_timeout=take_timeout,
+        sources, store, settings, suffix, given=given, take_timeout=take_timeout
     )
     with one_thread(), ExitStack() as cleanup:  # all steps, even if one is interrupted
         # Opened first, so that nothing is written if no scheduler answers.

@@ -25,9 +25,7 @@ from kinefilter.pipeline.settings import hash_of
 _URL = re.compile(r"[A-Za-z][\w+.:-]+://")
 # Names of temporary files of ``atomic_path``: a dot and a random UUID.
 _TEMPORARY = re.compile(r"\.[0-9a-f]{12}4[0-9a-f]{3}[89ab][0-9a-f]{15}(\..*)?")
-_ATOMIC_PUTS = frozenset(
-    {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss"}
-)
+_ATOMIC_PUTS = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss")
 """Object stores, in which uploads are atomic and renaming makes a copy."""
 _TAGS = ("ETag", "etag", "md5", "mtime", "LastModified", "last_modified", "updated")
 """Keys under which file systems report a file's last change, most precise first."""

@@ -92,20 +92,15 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
     row: dict[str, Any] = {"clips": ()}
     errors = []
-    for body, result, merged in job.settings.clean(
-        recordings, bodies, cleaner, _while_awaited
-    ):
+    cleaned = job.settings.clean(recordings, bodies, cleaner, _while_awaited)
+    for body, result, merged in cleaned:
         if isinstance(result, InputError):
             errors.append(str(result))
             continue
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
-            notes = (
-                *take_notes,
-                *(merged.all_notes() if merged else ()),
-                *result.notes,
-            )
-            result = replace(result, notes=notes)
+            fused = merged.all_notes() if merged else ()
+            result = replace(result, notes=(*take_notes, *fused, *result.notes))
             paths = part_paths(path, len(result.clips))
             row["clips"] += tuple(
                 _write(result, clip, str(path), body, job)

@@ -94,6 +94,7 @@ class Clean:
         recording = recordings[0]
         several = len(recording.takes) > 1 and settings.body == "all"
         others = (self.json, self.save_contacts, self.report)
+        source = recording.takes[0].source
         for body in settings.people(recordings):
             number, time = body if several else None, recording.take(body).time
             clip = None if self.one_file else number
@@ -102,12 +103,7 @@ class Clean:
             paths = part_paths(numbered(self.out, clip), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                with_frame_rate(
-                    settings.export,
-                    self.out.suffix,
-                    time[part],
-                    recording.takes[0].source,
-                )
+                with_frame_rate(settings.export, self.out.suffix, time[part], source)
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
@@ -169,9 +165,8 @@ class Clean:
                 )
         results = {}
         with progress_bars() as progress:
-            for number, result, merged in settings.clean(
-                recordings, numbers, progress=progress
-            ):
+            cleaned = settings.clean(recordings, numbers, progress=progress)
+            for number, result, merged in cleaned:
                 if not isinstance(result, InputError):
                     results[number] = result, merged
                 elif number == numbers[-1] and not results:
@@ -322,12 +317,9 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
             words = f"clean {progress.takes_done}/{progress.takes}"
             if progress.failed:
                 words += f", {progress.failed} failed"
+            done, total = progress.size_done, progress.size
             bars.update(
-                task,
-                description=words,
-                completed=progress.size_done,
-                total=progress.size,
-                visible=True,
+                task, description=words, completed=done, total=total, visible=True
             )
 
         yield show

@@ -56,11 +56,7 @@ class Merge:
         """Merge the takes, write the result, and print a summary."""
         from kinefilter.pipeline.formats import read_recording
         from kinefilter.pipeline.formats.sheets import write_merged_csv
-        from kinefilter.pipeline.merge import (
-            merge,
-            read_calibration,
-            write_calibration,
-        )
+        from kinefilter.pipeline.merge import merge, read_calibration, write_calibration
 
         written = (self.out, self.save_calibration, self.json)
         check_output(self.out, suffix=".csv")
@@ -78,9 +74,7 @@ class Merge:
         out.print(_as_table(merged))
         for note in merged.all_notes():
             out.print(note)
-        out.print(
-            f"wrote {', '.join(str(path) for path in written if path is not None)}"
-        )
+        out.print(f"wrote {', '.join(str(path) for path in written if path)}")
         return 0
 
 

@@ -191,9 +191,8 @@ class View:
     @property
     def _is_clip(self) -> bool:
         """True if the motion is a clip; .bvh and .csv may also be takes."""
-        suffixes = {
-            Path(path.name.removesuffix(".gz")).suffix.lower() for path in self.motion
-        }
+        names = [path.name.removesuffix(".gz") for path in self.motion]
+        suffixes = {Path(name).suffix.lower() for name in names}
         with_take = bool(self.take) and self.take != self.motion
         kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)

@@ -43,8 +43,7 @@ class _Bone:
 class Acclaim:
     """The skeleton of an ASF file, in its own unit of length."""
 
-    bones: dict[str, _Bone]
-    """By name, the root first and parents before their children."""
+    bones: dict[str, _Bone]  # by name, the root first and parents before their children
     degrees: bool  # unit of angles; else radians
     source: str
 

@@ -24,6 +24,7 @@ from kinefilter.characters.rotations import (
     multiply,
     rotate,
 )
+from kinefilter.retarget.target_rig import chained
 
 from .export import Export
 from .files import AnyPath, new_text, open_text
@@ -86,10 +87,7 @@ class Bvh:
     @cached_property
     def rest_positions(self) -> Array:
         """Position of each joint in the rest posture, shape (N, 3)."""
-        places = np.array(self.offsets)
-        for n, parent in enumerate(self.parents):
-            places[n] += places[parent] if parent >= 0 else 0.0
-        return places
+        return chained(self.offsets, self.parents)
 
     @cached_property
     def rotations(self) -> Array:

@@ -21,11 +21,8 @@ from kinefilter.characters import (
 from kinefilter.characters.arrays import Array, check_kind
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
+from kinefilter.retarget import fill_missing_joints, rotations_from_positions
 from kinefilter.retarget.looping import repeated
-from kinefilter.retarget.orientation import (
-    fill_missing_joints,
-    rotations_from_positions,
-)
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
@@ -191,9 +188,8 @@ def _clip_of_take(take: Take) -> Clip:
             "this is a raw take: clean it, or draw it beside its clip with --compare"
         )
     body = measure_body(take)
-    rotations = rotations_from_positions(
-        fill_missing_joints(take.positions, body), body
-    )
+    filled = fill_missing_joints(take.positions, body)
+    rotations = rotations_from_positions(filled, body)
     root = take.positions[:, take.skeleton.root]
     motion = Motion(
         time=take.time, body=body, root=root, rotations=rotations, source=take.source

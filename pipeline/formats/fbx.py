@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from subprocess import PIPE, STDOUT
 
 import numpy as np
 
@@ -76,12 +77,7 @@ def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
     standard_input, held_open = os.pipe()  # at its end, the script exits
     try:
         ran = subprocess.run(
-            command,
-            stdin=standard_input,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            timeout=timeout,
-            check=False,
+            command, stdin=standard_input, stdout=PIPE, stderr=STDOUT, timeout=timeout
         )
     except subprocess.TimeoutExpired:
         wrong = f"took over {timeout:.0f} s and was ended; write .glb, or cut the take"

@@ -39,10 +39,8 @@ SCALES = {"reliability": 1e2, "external_force": 1e2, **dict.fromkeys(LENGTHS, 1e
 """Factors by which fields of a clip are multiplied before ``extras`` rounds them."""
 PER_KEYFRAME = {**PER_FRAME, "state": "state", "externalForce": "external_force"}
 """Data in ``extras`` with a row for each keyframe, and the fields of a clip."""
-PACKED = np.dtype("<i4")
-"""Type of the numbers in packed data."""
-SMOOTH = "CUBICSPLINE"
-"""Interpolation of samplers whose keyframes have tangents."""
+PACKED = np.dtype("<i4")  # type of the numbers in packed data
+SMOOTH = "CUBICSPLINE"  # interpolation of samplers whose keyframes have tangents
 _POINTS, _CORNERS = 34962, 34963  # ARRAY_BUFFER and ELEMENT_ARRAY_BUFFER
 _VRMA = "VRMC_vrm_animation"
 _DECIMALS = 9  # of time stamps [s]

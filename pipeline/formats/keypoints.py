@@ -70,12 +70,8 @@ HUMAN_36M = (
     *("spine", "thorax", "neckbase", "head"),
     *("lshoulder", "lelbow", "lwrist", "rshoulder", "relbow", "rwrist"),
 )
-_IN_NPY = {
-    **dict.fromkeys((33, 75, 543, 553), BLAZEPOSE),
-    133: WHOLE_BODY,
-    26: HALPE,
-    137: BODY_25,
-}
+_IN_NPY = dict.fromkeys((33, 75, 543, 553), BLAZEPOSE)
+_IN_NPY |= {133: WHOLE_BODY, 26: HALPE, 137: BODY_25}
 """First landmarks of an array, by its number of landmarks. 17 and 25 are ambiguous:
 COCO or Human3.6M, BODY_25 or Kinect v2."""
 _IN_JSON = {17: HUMAN_36M, 25: BODY_25, 26: HALPE, 33: BLAZEPOSE, 133: WHOLE_BODY}
@@ -269,9 +265,8 @@ def _recording(
     frame_of, number_of, names, points, scores = zip(*found, strict=True)
     if len(set(names)) > 1:
         raise InputError(f"{source}: bodies have different landmarks; split it")
-    mocap = mocap_of_points(
-        names[0], np.stack(points), ASSUMED_FPS, source, np.stack(scores)
-    )
+    places, confidence = np.stack(points), np.stack(scores)
+    mocap = mocap_of_points(names[0], places, ASSUMED_FPS, source, confidence)
     positions, motion, notes = kinect_joints(mocap, KINECT_V2)
     sightings = list(map(Sighting, frame_of, number_of, positions, motion.state))
     takes, others = takes_of_people(time, sightings, KINECT_V2, source)

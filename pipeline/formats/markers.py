@@ -26,10 +26,8 @@ from .guarded import read_guarded
 from .recording import FASTEST, Mocap
 from .rows import LARGEST_NUMBER, RowReader
 
-TRC_MAGIC = "PathFileType"
-"""First word of a TRC file."""
-C3D_MAGIC = 0x50
-"""Second byte of every C3D file."""
+TRC_MAGIC = "PathFileType"  # first word of a TRC file
+C3D_MAGIC = 0x50  # second byte of every C3D file
 _BLOCK = 512  # bytes of a C3D file
 _LARGEST_C3D = 2**30  # bytes
 _HEADER = 5  # lines

@@ -40,14 +40,7 @@ from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import (
-    Mocap,
-    Notes,
-    Recording,
-    check_length,
-    of_other_tracker,
-    takes_of_rows,
-)
+from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
 
 _POINT_RIGS = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
@@ -153,7 +146,7 @@ def _recording(
 
 def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
-) -> tuple[Array, KinectMotion, Notes]:
+) -> tuple[Array, KinectMotion, tuple[str, ...]]:
     """Return a take's positions [m] (T, J, 3), the motion they come from, and notes.
 
     Raises InputError as ``kinect_motion``.

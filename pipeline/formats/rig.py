@@ -152,10 +152,7 @@ def own_motion(clip: Clip) -> RigMotion:
 
 
 def retargeted_motion(
-    target: TargetRig,
-    motion: Retargeted,
-    skeleton: Skeleton,
-    travel: RootMotion = "travel",
+    target: TargetRig, motion: Retargeted, skeleton: Skeleton, travel: RootMotion
 ) -> RigMotion:
     """Return a motion of the sensor's skeleton on a target, with the root motion."""
     rest = target.rest

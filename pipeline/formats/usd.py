@@ -183,9 +183,8 @@ def _write_extents(
         extents[SKIN] = skin
     for path, boxes in extents.items():
         prim = Sdf.CreatePrimInLayer(layer, path)
-        attribute = prim.attributes.get("extent") or Sdf.AttributeSpec(
-            prim, "extent", Sdf.ValueTypeNames.Float3Array
-        )
+        known, kind = prim.attributes.get("extent"), Sdf.ValueTypeNames.Float3Array
+        attribute = known or Sdf.AttributeSpec(prim, "extent", kind)
         # Readers that ask without a time get the box around all frames.
         around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         attribute.default = vectors(around)

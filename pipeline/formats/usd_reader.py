@@ -87,9 +87,8 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         for prim in folder.GetChildren() if folder else ():
             shapes = tuple(_shape(part, axes, meters) for part in prim.GetChildren())
             where, turns = _placed(prim, codes)
-            props.append(
-                Prop(prim.GetName(), shapes, axes(where) * meters, axes(turns))
-            )
+            where = axes(where) * meters
+            props.append(Prop(prim.GetName(), shapes, where, axes(turns)))
         turns = axes(normalize(np.roll(xyzw, 1, axis=-1).astype(np.float64)))
         world = rig_of(standard_body(skeleton)).world_rotations(turns)
         root = axes(places[:, 0].astype(np.float64)) * meters

@@ -17,8 +17,7 @@ _FOV = 28.0  # degrees, vertical: a normal lens, 48 mm on 35 mm film
 _DIRECTIONS = {"front": (0.0, 6.0), "side": (90.0, 6.0)}
 _DIRECTIONS |= dict.fromkeys(("three-quarter", "orbit", "follow"), (35.0, 12.0))
 _OVER = 35.0  # degrees up, so that sensors do not hide the person. Chosen by eye
-CAMERAS = tuple(_DIRECTIONS)
-"""Cameras that are placed automatically."""
+CAMERAS = tuple(_DIRECTIONS)  # cameras that are placed automatically
 
 _TURN = 12.0  # s, approximate duration of an orbit
 _LAG = 0.5  # s over which a following camera averages the character's position
@@ -35,8 +34,7 @@ class CameraPath:
     """Positions [m], world frame, shape (T, 3), or (1, 3) if the camera stays."""
     targets: Array
     """Points in the middle of the picture [m], world frame, shaped likewise."""
-    fov: float
-    """Vertical field of view [degrees]."""
+    fov: float  # vertical field of view [degrees]
 
     @property
     def stays(self) -> bool:

@@ -56,8 +56,7 @@ class Comparison(Drawing):
     about the place of its sensors, in sentences."""
     before: dict[str, float]
     """Metrics of the take by name (``METRICS``), NaN where unknown."""
-    after: dict[str, float]
-    """Metrics of the clip, likewise."""
+    after: dict[str, float]  # metrics of the clip, likewise
 
 
 def read_comparison(

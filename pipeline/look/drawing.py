@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.failures import Failure
     from kinefilter.pipeline.merge import Merged
 
-Color = tuple[int, int, int]
-"""Red, green and blue, 0 to 255."""
+Color = tuple[int, int, int]  # red, green and blue, 0 to 255
 
 CLEANED, PHYSICS, OTHER = (92, 69, 184), (237, 120, 33), (20, 145, 110)
 """Colors of the stick figures before and after physics, and of another clip."""
@@ -60,16 +59,14 @@ _FRAMES = 1000  # are enough to find the transform from the take to the clip
 class Sticks(NamedTuple):
     """A stick figure in one frame; what is not present must not be drawn."""
 
-    joints: Array
-    """Joint positions [m], at the origin where not present, shape (J, 3)."""
+    joints: Array  # joint positions [m], at the origin where not present, shape (J, 3)
     joint_present: Flags
     joint_colors: Array | None
     """Colors by reliability, 0 to 1, shape (J, 3); None if the figure has one color."""
     centers: Array
     """Centers of the bones [m], in the order of Skeleton.segments, shape (S, 3)."""
     lengths: Array
-    rotations: Array
-    """Rotations from +y to the bones, quaternions wxyz, shape (S, 4)."""
+    rotations: Array  # rotations from +y to the bones, quaternions wxyz, shape (S, 4)
     bone_present: Flags
 
 
@@ -107,18 +104,15 @@ class StickFigure:
 class Sensor(StickFigure):
     """A sensor of a session and what it saw, with the joints of the merged take."""
 
-    name: str
-    """Number of the sensor, from 1, and name of its take."""
+    name: str  # number of the sensor, from 1, and name of its take
     color: Color
     residuals: Array
     """Distances of these from the joints of the merged take [m], shape (T, J)."""
-    shares: Array
-    """Share of this sensor in each merged joint, 0 to 1, shape (T, J)."""
+    shares: Array  # share of this sensor in each merged joint, 0 to 1, shape (T, J)
     frustum: Array
     """Position [m], and corners of its view 0.6 m away: upper left, upper right, lower
     right and lower left of its picture, shape (5, 3)."""
-    figures: dict[str, Any]
-    """Row of the sensor in ``Merged.figures``."""
+    figures: dict[str, Any]  # row of the sensor in ``Merged.figures``
 
     @property
     def edges(self) -> Array:
@@ -136,8 +130,7 @@ class Drawing:
     clip: Clip
     raw: Array | None = None
     """Measured joint positions [m], NaN where missing, shape (T, J, 3)."""
-    target: Array | None = None
-    """Joint positions before physics [m], shape (T, J, 3)."""
+    target: Array | None = None  # joint positions before physics [m], shape (T, J, 3)
     sensors: tuple[Sensor, ...] = ()
     """The sensors whose takes were merged, if there were several."""
     failures: tuple[Failure, ...] = ()

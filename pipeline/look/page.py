@@ -9,7 +9,6 @@ import base64
 import html
 import json
 import math
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import CONTACTS, Clip, InputError, Origin, Take, Term
 from kinefilter.characters.arrays import Array, shown
-from kinefilter.pipeline.formats.files import atomic_path
+from kinefilter.pipeline.formats.files import AnyPath, atomic_path
 from kinefilter.pipeline.formats.plain import finite
 from kinefilter.pipeline.metrics import METRICS, even_differences
 
@@ -81,7 +80,7 @@ LIMITS = (
 
 
 def write_report(
-    comparison: Comparison, path: str | os.PathLike[str], gates: Sequence[Limit] = ()
+    comparison: Comparison, path: AnyPath, gates: Sequence[Limit] = ()
 ) -> None:
     """Write a self-contained report page, whole or not at all.
 
@@ -97,10 +96,7 @@ def write_report(
 
 
 def write_page(
-    path: str | os.PathLike[str],
-    title: str,
-    contents: Mapping[str, Any],
-    files: Sequence[Path],
+    path: AnyPath, title: str, contents: Mapping[str, Any], files: Sequence[Path]
 ) -> None:
     """Write contents and the files that show them as one page, whole or not at all.
 

@@ -124,9 +124,8 @@ class Player(ServedPage):
     def _show(self) -> None:
         characters, things = self._playground.characters, self._playground.scene_props
         with self._server.atomic():
-            for character, pose, place_grips in zip(
-                characters, self._poses, self._place_grips, strict=True
-            ):
+            drawn = zip(characters, self._poses, self._place_grips, strict=True)
+            for character, pose, place_grips in drawn:
                 positions = character.positions
                 pose(positions, character.rotations)
                 place_grips(positions)

@@ -29,13 +29,9 @@ class Curves:
     """One coordinate of a joint in each figure of a drawing, and its reliability."""
 
     def __init__(self, drawing: Drawing, joint: str, axis: str) -> None:
-        figures, self._count = drawing.figures, len(drawing.clip)
+        get, self._count = drawing.figures.get, len(drawing.clip)
         final = StickFigure(drawing.clip.skeleton, drawing.clip.positions, PHYSICS)
-        shown = {
-            "raw": figures.get("raw"),
-            "clip": final,
-            "other": figures.get("other"),
-        }
+        shown = {"raw": get("raw"), "clip": final, "other": get("other")}
         # The mean of the frames in each column, where there are too many to be seen.
         starts = _starts(self._count, _COLUMNS)
         sizes = np.diff([*starts, self._count])

@@ -21,12 +21,9 @@ from numpy.typing import NDArray
 from kinefilter.characters import InputError
 from kinefilter.pipeline.formats import atomic_path
 
-Pixels = NDArray[np.uint8]
-"""A picture, shape (height, width, 3)."""
-Size = tuple[int, int]
-"""Width and height in pixels."""
-Coded = tuple[bytes, bool]
-"""An encoded picture, and whether it is a keyframe."""
+Pixels = NDArray[np.uint8]  # a picture, shape (height, width, 3)
+Size = tuple[int, int]  # width and height in pixels
+Coded = tuple[bytes, bool]  # an encoded picture, and whether it is a keyframe
 Parts = Iterable[list[Coded]]
 
 # x264's quality 18 is said to look lossless; above 18, lines on the floor suffer.

@@ -226,14 +226,9 @@ def _add_seams(spec: mujoco.MjSpec, skin: mujoco.MjsSkin, body: Body) -> None:
     pixels = np.full((_SEAMS, _SEAMS, 3), 255, dtype=np.uint8)
     across, along = (slice(_SEAMS // 2 - w, _SEAMS // 2 + w) for w in _SEAM)
     pixels[across] = pixels[:, along] = _SEAM_COLOR
-    spec.add_texture(
-        name="seams",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        width=_SEAMS,
-        height=_SEAMS,
-        nchannel=3,
-        data=pixels.ravel().tolist(),
-    )
+    texture = spec.add_texture(name="seams", type=mujoco.mjtTexture.mjTEXTURE_2D)
+    texture.height, texture.width, texture.nchannel = pixels.shape
+    texture.data = pixels.tobytes()
     textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
     textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "seams"
     spec.add_material(name="seams", textures=textures, rgba=skin.rgba)

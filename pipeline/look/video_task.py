@@ -58,8 +58,7 @@ class Composition:
 
     def __init__(self, task: RenderTask) -> None:
         look, whole = task.look, read_finite_clip(task.clip)
-        clip, self.rate = shown_frames(whole, look)
-        """Frame rate of the pictures [1/s]."""
+        clip, self.rate = shown_frames(whole, look)  # frame rate of the pictures [1/s]
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
         width, height = look.pixels
@@ -78,8 +77,7 @@ class Composition:
             place = joints + np.nanmedian(raw - joints, axis=(0, 1))
             near = np.linalg.norm(raw - place, axis=-1) < _ASTRAY
             points.append(np.where(near[..., None], raw, place))
-        self.drawing = Drawing(clip, raw)
-        """The frames that are drawn."""
+        self.drawing = Drawing(clip, raw)  # the frames that are drawn
         self.camera = seen_by(np.concatenate(points, axis=1))
         """The camera that shows everything."""
 
@@ -112,10 +110,9 @@ def props_around(clip: Clip, props: tuple[Prop, ...], scene: str) -> tuple[Prop,
     from kinefilter.pipeline.physics.scene_props import SceneProps
     from kinefilter.scenes import load_scene
 
-    model = load_scene(scene).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    things = SceneProps(model, data, (), 1)
+    data = mujoco.MjData(load_scene(scene).compile())
+    mujoco.mj_forward(data.model, data)
+    things = SceneProps(data, (), 1)
     things.record(0)
     names = {prop.name for prop in props}
     others = things.props(find_placement(clip.positions, clip.skeleton))

@@ -94,10 +94,8 @@ class Viewer(ServedPage):
             self._on(group.on_click, action)
 
         if self._listed:
-            start = self._listed[self._chosen]
-            self._take: Any = gui.add_dropdown(
-                "take", self._listed, initial_value=start
-            )
+            now = self._listed[self._chosen]
+            self._take: Any = gui.add_dropdown("take", self._listed, initial_value=now)
             self._on(self._take.on_update, self._choose_take)
         last = max(len(drawing.clip), 2)  # a slider from 1 to 1 cannot be drawn
         self._status = gui.add_html("")

@@ -63,8 +63,7 @@ class ViewerScene:
         for name, figure in drawing.figures.items():
             self._layers[name] = _add_sticks(scene, name, figure)
         _add_frusta(scene, drawing.sensors)
-        own = ("cleaned", "physics", "other")
-        self._figures = {*own, *(s.name for s in drawing.sensors)}
+        self._inside = drawing.figures.keys() - {"raw"}
         for name, add in (("forces", _add_force), ("props", _add_moving_props)):
             if name in drawing.layers:
                 self._layers[name] = add(scene, clip)
@@ -79,7 +78,7 @@ class ViewerScene:
         if "raw" in self._layers:
             self._layers["raw"][0].position = self._offset * beside
         apart = beside and self._offset.any()
-        inside = self._figures | (set() if apart else {"raw"})
+        inside = self._inside | (set() if apart else {"raw"})
         self._skin.opacity = _TRANSLUCENT if self._shown & inside else None
 
     def show(self, frame: int) -> None:

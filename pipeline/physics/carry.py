@@ -23,8 +23,7 @@ _LIFTED = 0.08  # m above where it was grasped: a prop that is put down when it 
 _RISE = 0.4  # m of a lift over which the prop comes to where the performer has theirs
 _SINK = 0.03  # m by which hands put a prop down lower than they took it up
 _RESTS = 0.25  # m/s: slower hands have put down what they hold
-STRENGTH = 300.0
-"""Largest force of each hand [N]."""
+STRENGTH = 300.0  # largest force of each hand [N]
 _TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
 _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
 
@@ -33,18 +32,12 @@ _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
 class PerformerHands:
     """What the performer's hands do in a frame, left and right; y up."""
 
-    palms: Array
-    """Positions of the hands [m], shape (2, 3)."""
-    velocity: Array
-    """Their velocities [m/s], shape (2, 3)."""
-    seen: Flags
-    """Whether the sensor sees them, shape (2,)."""
-    side: Array
-    """Directions to the left and ahead of the shoulders, rows (2, 3)."""
-    root: Array
-    """Position of the root joint [m], shape (3,)."""
-    dt: float
-    """Time since the last frame [s]."""
+    palms: Array  # positions of the hands [m], shape (2, 3)
+    velocity: Array  # their velocities [m/s], shape (2, 3)
+    seen: Flags  # whether the sensor sees them, shape (2,)
+    side: Array  # directions to the left and ahead of the shoulders, rows (2, 3)
+    root: Array  # position of the root joint [m], shape (3,)
+    dt: float  # time since the last frame [s]
 
     def behind(self, points: Array) -> bool:
         """Return True if points (N, 3) [m] are not in front of the body."""

@@ -88,15 +88,13 @@ class Compliance:
         """Add an impulse [N s], shape (3,), to the segment that ends at a joint."""
         self._impulses[joint] += impulse
 
-    def hit_by_props(
-        self, model: mujoco.MjModel, data: mujoco.MjData, joints: Indices, props: Flags
-    ) -> None:
+    def hit_by_props(self, data: mujoco.MjData, joints: Indices, props: Flags) -> None:
         """Add the impulses that props gave the body in the last step.
 
         For each body of the model, ``joints`` has the joint at which that segment ends,
         -1 for others, and ``props`` is True if it is a prop that can move.
         """
-        force = np.empty(6)
+        model, force = data.model, np.empty(6)
         bodies = model.geom_bodyid[data.contact.geom]
         own, hits = joints[bodies] >= 0, props[bodies]
         for k in np.flatnonzero((own & hits[:, ::-1]).any(axis=1)):

@@ -28,8 +28,7 @@ _CHUNK = 4096  # frames at a time, to bound the memory
 class PhysicsTrace:
     """Record of a simulation, frame by frame; arrays of shape (T,)."""
 
-    tracking_error: Array
-    """Mean distance of the joints from their targets [m]."""
+    tracking_error: Array  # mean distance of the joints from their targets [m]
     external_force: Array
     """Mean force over the frame that only the pulls explain [body weights]."""
     contacts: NDArray[np.int64]
@@ -51,21 +50,17 @@ class PhysicsTrace:
 class PhysicsResult:
     """The simulated motion."""
 
-    rotations: Array
-    """World segment rotations, wxyz, shape (T, J, 4)."""
-    positions: Array
-    """Joint positions [m], world frame, shape (T, J, 3)."""
+    rotations: Array  # world segment rotations, wxyz, shape (T, J, 4)
+    positions: Array  # joint positions [m], world frame, shape (T, J, 3)
     trace: PhysicsTrace
-    scene_props: SceneProps
-    """The props of the scene, in the frame of the targets."""
+    scene_props: SceneProps  # the props of the scene, in the frame of the targets
 
 
 @dataclass(frozen=True, eq=False)
 class Performance:
     """A person's targets, as for ``PulledCharacter.step``, with a leading axis T."""
 
-    time: Array
-    """Time stamps [s], strictly increasing, shape (T,)."""
+    time: Array  # time stamps [s], strictly increasing, shape (T,)
     positions: Array
     rotations: Array
     stands: Flags | None = None
@@ -102,9 +97,8 @@ class _Cue:
         types = (float, float, np.int64, np.bool_)
         self._trace = PhysicsTrace(*(np.zeros(count, dtype) for dtype in types))
         self._turns, self._roots = np.empty_like(person.rotations), np.empty((count, 3))
-        world = character.world
-        roots = [other.root_body for other in world.characters]
-        self._props = SceneProps(world.model, world.data, roots, count)
+        roots = [other.root_body for other in character.world.characters]
+        self._props = SceneProps(character.data, roots, count)
 
     def target(self, k: int) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations (J, 4) at a time stamp."""

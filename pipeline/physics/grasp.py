@@ -50,10 +50,8 @@ class Grasp:
     a ``prefix``.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, body: Body, prefix: str = ""
-    ) -> None:
-        self._data, skeleton = data, body.skeleton
+    def __init__(self, data: mujoco.MjData, body: Body, prefix: str = "") -> None:
+        self._data, model, skeleton = data, data.model, body.skeleton
         self._palms = skeleton.sides("Hand")
         self._shoulders = skeleton.sides("Shoulder")
         self._root, self._reach = skeleton.root, Reach(body)
@@ -63,7 +61,7 @@ class Grasp:
         left, right = (f"{prefix}{hand}" for hand in HANDS)
         self._sites = [model.site(name).id for name in (left, right)]
         palm = float(body.radii[self._palms[0]])
-        props = Holdable.all(model, data, palm, (left, right))
+        props = Holdable.all(data, palm, (left, right))
         self.props = [prop for prop in props if prop.weight < 2.0 * STRENGTH]
         self._carry: Carry | None = None
         self._sought: Holdable | None = None

@@ -9,6 +9,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.humanoid import from_mujoco, prefix_of, to_mujoco
 from kinefilter.characters.rotations import cross, unit
+from kinefilter.retarget.reach import at_most
 
 HANDS = ("HandLeft", "HandRight")
 HORIZONTAL = np.array([1.0, 0.0, 1.0])
@@ -31,25 +32,15 @@ def add_ties(spec: mujoco.MjSpec, characters: int = 1) -> None:
 
     Props without names get that of ``SceneProps``, as ties need one.
     """
-    free = mujoco.mjtJoint.mjJNT_FREE
-    props = [
-        (k, body)
-        for k, body in enumerate(spec.bodies)
-        if any(joint.type == free for joint in body.joints)
-    ]
+    free, bodies = mujoco.mjtJoint.mjJNT_FREE, enumerate(spec.bodies)
+    props = [(k, b) for k, b in bodies if any(joint.type == free for joint in b.joints)]
     hands = [f"{prefix_of(n)}{hand}" for n in range(characters) for hand in HANDS]
     for k, prop in props[characters:]:  # the first are the characters' roots
         prop.name = prop.name or f"body{k}"
         for hand in hands:
-            spec.add_equality(
-                name=f"hold:{prop.name}:{hand}",
-                type=mujoco.mjtEq.mjEQ_CONNECT,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                name1=hand,
-                name2=prop.name,
-                active=False,
-                solref=[0.02, 1.0],
-            )
+            tie = spec.add_equality(name=f"hold:{prop.name}:{hand}", active=False)
+            tie.type, tie.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
+            tie.name1, tie.name2, tie.solref = hand, prop.name, [0.02, 1.0]
 
 
 def _props_of(model: mujoco.MjModel) -> Indices:
@@ -57,8 +48,9 @@ def _props_of(model: mujoco.MjModel) -> Indices:
     return np.asarray(model.body_weldid[model.geom_bodyid])
 
 
-def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
+def _corners(data: mujoco.MjData, geom: int) -> Array:
     """Return the corners of a mesh, or of the box around another geom, (N, 3) [m]."""
+    model = data.model
     middle, half = model.geom_aabb[geom].reshape(2, 3)
     points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
     if model.geom_type[geom] == _MESH:
@@ -77,14 +69,11 @@ class Holdable:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        body: int,
-        palm: float,
-        hands: tuple[str, str],
+        self, data: mujoco.MjData, body: int, palm: float, hands: tuple[str, str]
     ) -> None:
-        self._model, self._data, self._body, self._palm = model, data, body, palm
+        model = data.model
+        self._data, self._model = data, model
+        self._body, self._palm = body, palm
         self.name = model.body(body).name
         self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
         self._hands = [model.body(hand).id for hand in hands]
@@ -94,27 +83,21 @@ class Holdable:
         self._round = bool(kind == mujoco.mjtGeom.mjGEOM_SPHERE)
         frame = data.xmat[body] if kind == _MESH else data.geom_xmat[geoms[0]]
         self._turn = data.xmat[body].reshape(3, 3).T @ frame.reshape(3, 3)
-        points = [_corners(model, data, int(geom)) for geom in geoms]
+        points = [_corners(data, int(geom)) for geom in geoms]
         points = (np.concatenate(points) - data.xpos[body]) @ frame.reshape(3, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         self._middle, self._half = self._turn @ (0.5 * (low + high)), 0.5 * (high - low)
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
-    def all(
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        palm: float,
-        hands: tuple[str, str],
-    ) -> list[Holdable]:
+    def all(data: mujoco.MjData, palm: float, hands: tuple[str, str]) -> list[Holdable]:
         """Return all props with ties that are not too small for two hands."""
+        model = data.model
         mujoco.mj_kinematics(model, data)
         solid = set(_props_of(model)[model.geom_contype != 0])
         tied = {f"hold:{model.body(k).name}:{hands[0]}": int(k) for k in solid}
         names = [model.equality(k).name for k in range(model.neq)]
-        props = [
-            Holdable(model, data, tied[n], palm, hands) for n in names if n in tied
-        ]
+        props = [Holdable(data, tied[n], palm, hands) for n in names if n in tied]
         return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
 
     @property
@@ -162,10 +145,8 @@ class Holdable:
     def tie(self, hands: Array) -> None:
         """Tie the hands to the faces where they are, at (2, 3) [m]."""
         data = self._data
-        inward = self._palm * unit(hands[::-1] - hands)
-        for hand, tie, point in zip(
-            self._hands, self._ties, to_mujoco(hands + inward), strict=True
-        ):
+        points = to_mujoco(hands + self._palm * unit(hands[::-1] - hands))
+        for hand, tie, point in zip(self._hands, self._ties, points, strict=True):
             for body, part in ((hand, 0), (self._body, 3)):
                 turn = data.xmat[body].reshape(3, 3)
                 local = turn.T @ (point - data.xpos[body])
@@ -219,5 +200,4 @@ class Holdable:
         up, spin = data.xmat[body].reshape(3, 3) @ self._lay, data.cvel[body, :3]
         turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
         torque = float(self._model.body_inertia[body].max()) * turning
-        size = float(np.linalg.norm(torque))
-        data.xfrc_applied[body, 3:] = torque * min(1.0, _WRISTS / max(size, 1e-9))
+        data.xfrc_applied[body, 3:] = at_most(_WRISTS, torque)

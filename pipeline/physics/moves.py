@@ -23,12 +23,10 @@ class Move:
     Several moves in a row have a leading axis T.
     """
 
-    duration: Any
-    """Time that it takes [s]."""
+    duration: Any  # time that it takes [s]
     before: tuple[Array, Array]
     """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
-    after: tuple[Array, Array]
-    """The same at its end."""
+    after: tuple[Array, Array]  # the same at its end
     forward: Array
     """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
     left_share: Any
@@ -36,13 +34,9 @@ class Move:
 
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
-        return Move(
-            float(self.duration[k]),
-            (self.before[0][k], self.before[1][k]),
-            (self.after[0][k], self.after[1][k]),
-            self.forward[k],
-            float(self.left_share[k]),
-        )
+        before, after = ((p[k], q[k]) for p, q in (self.before, self.after))
+        share = float(self.left_share[k])
+        return Move(float(self.duration[k]), before, after, self.forward[k], share)
 
 
 class MovePlanner:
@@ -86,9 +80,8 @@ class MovePlanner:
         forward = self.damping * (np.concatenate(moved, axis=-1) / seconds)
         forward[..., : len(self._masses) * 3] += needed.reshape(rows)
         # By where the center of mass is between the feet.
-        left, right = np.moveaxis(
-            0.5 * after[0][..., self._feet, :2].sum(axis=-2), -2, 0
-        )
+        feet = 0.5 * after[0][..., self._feet, :2].sum(axis=-2)
+        left, right = np.moveaxis(feet, -2, 0)
         across, middle = left - right, self._shares @ after[0][..., :2]
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)

@@ -23,6 +23,7 @@ from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget.reach import at_most
 from kinefilter.retarget.stance import smooth_step
 
 from .grasp import seen_hands
@@ -30,8 +31,7 @@ from .pulled_character import PulledCharacter
 from .scene_props import SceneProps
 from .world import World
 
-RATE = 30.0
-"""Frame rate [1/s] of the motion and of recordings."""
+RATE = 30.0  # frame rate [1/s] of the motion and of recordings
 _BALL_MASS, _BALL_SPEED = 5.0, 10.0  # kg, m/s
 _BALLS, _BALL_RADIUS = 6, 0.13  # m: a medicine ball
 _BALL = "thrown ball"
@@ -79,7 +79,7 @@ class Playground:
         self.character = self.characters[0]
         self._pairs = list(zip(self.characters, self.motions, strict=True))
         model, roots = self.world.model, [c.root_body for c in self.characters]
-        self.scene_props = SceneProps(model, self.world.data, roots, 1)
+        self.scene_props = SceneProps(self.world.data, roots, 1)
         self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
         self._dragged: tuple[int, int, Array, Array] | None = None
         self.resets = 0
@@ -109,17 +109,13 @@ class Playground:
         """Advance the simulation by dt [s]."""
         before, self.time = self.time, self.time + dt
         for character, motion in self._pairs:
-            began, now = (
-                int(time * RATE) // len(motion) for time in (before, self.time)
-            )
+            began, now = (int(t * RATE) // len(motion) for t in (before, self.time))
             if now > began:
                 self._put_back(character)
         if self._dragged is not None:
             number, joint, grabbed, pointer = self._dragged
             away = pointer - self.characters[number].positions[joint] - grabbed
-            force = _STIFFNESS * away
-            size = float(np.linalg.norm(force))
-            self._push(number, joint, force * min(1.0, _MAX_DRAG / max(size, 1e-9)), dt)
+            self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
         moves, feet = [], []
         for character, motion in self._pairs:
             positions, rotations, stands = self._target(motion)

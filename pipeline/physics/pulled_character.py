@@ -106,11 +106,10 @@ class PulledCharacter:
         own = np.isin(model.geom_bodyid, self._bodies)
         self._geoms = np.flatnonzero(own)
         self._collisions = model.geom_contype[own], model.geom_conaffinity[own]
-        self.grasp = Grasp(model, self.data, body, prefix)
+        self.grasp = Grasp(self.data, body, prefix)
         self._weight = float(body.mass * GRAVITY)
-        self.momentum = Momentum(
-            self.data, self._sites, joint_masses(body), root, self._pulls
-        )
+        masses = joint_masses(body)
+        self.momentum = Momentum(self.data, self._sites, masses, root, self._pulls)
         self._clearance, self._limbs = clearances(body), StuckLimbs(body)
         soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
         self.feet = StandingFeet(self.data, soles, self._weight)
@@ -165,7 +164,6 @@ class PulledCharacter:
         rotations: Array,
         dt: float,
         *,
-        acceleration: Array | None = None,
         stands: Flags | None = None,
         seen: Flags | None = None,
     ) -> bool:
@@ -176,7 +174,7 @@ class PulledCharacter:
         bears weight; by default none does, and the pulls carry the body. In a world
         with others, call ``plan`` for each and then ``World.follow``.
         """
-        move = self.plan(positions, rotations, dt, acceleration=acceleration, seen=seen)
+        move = self.plan(positions, rotations, dt, seen=seen)
         return bool(self.world.follow([move], [stands])[0])
 
     def plan(
@@ -259,9 +257,7 @@ class PulledCharacter:
         self.momentum.add()
         self.feet.lifting = self.momentum.lifting
         if self.compliance is not None and self._movable:
-            self.compliance.hit_by_props(
-                self.model, self.data, self.joint_of, self._props
-            )
+            self.compliance.hit_by_props(self.data, self.joint_of, self._props)
 
     def end(self) -> None:
         """Evaluate the forces of the move."""

@@ -35,13 +35,10 @@ class SceneProps:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        characters: Sequence[int],
-        frames: int,
+        self, data: mujoco.MjData, characters: Sequence[int], frames: int
     ) -> None:
-        self._model, self._data = model, data
+        model = data.model
+        self._data, self._model = data, model
         visible = np.flatnonzero(
             np.isin(model.geom_type, list(_KINDS))
             & (model.geom_group <= _LAST_VISIBLE)
@@ -106,12 +103,10 @@ class SceneProps:
         color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
         if material >= 0 and np.allclose(color, _UNSET):
             color = model.mat_rgba[material]
-        return Shape(
-            kind,
-            from_mujoco(model.geom_size[geom][sizes]),
+        size = from_mujoco(model.geom_size[geom][sizes])
+        place, turn = (
             from_mujoco(model.geom_pos[geom]),
             from_mujoco(model.geom_quat[geom]),
-            color[:3].astype(float),
-            points,
-            triangles,
         )
+        rgb = color[:3].astype(float)
+        return Shape(kind, size, place, turn, rgb, points, triangles)

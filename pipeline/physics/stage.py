@@ -49,12 +49,9 @@ class Physics(Stage):
             # Props stay where they are, except for the first frame.
             self.character.start(positions, rotations, reset_props=first)
         else:
+            seen = seen_hands(draft.reliability, draft.skeleton)
             draft.reset = not self.character.step(
-                positions,
-                rotations,
-                draft.elapsed,
-                stands=draft.stands,
-                seen=seen_hands(draft.reliability, draft.skeleton),
+                positions, rotations, draft.elapsed, stands=draft.stands, seen=seen
             )
         draft.positions = self.character.positions
         draft.rotations = self.character.rotations
@@ -74,17 +71,14 @@ class Physics(Stage):
         place = self._placement(main.positions, main.skeleton)
         bodies = [draft.body for draft in drafts]
         world = World(bodies, self._tracking, scene=self._scene)
+        people = []
+        for draft in drafts:
+            target, stands = _placed(draft, place), draft.stands
+            seen = seen_hands(draft.reliability, draft.skeleton)
+            people.append(Performance(draft.time, *target, stands, seen))
         results = pull_through(
             [PulledCharacter(body, self._tracking, world=world) for body in bodies],
-            [
-                Performance(
-                    draft.time,
-                    *_placed(draft, place),
-                    draft.stands,
-                    seen_hands(draft.reliability, draft.skeleton),
-                )
-                for draft in drafts
-            ],
+            people,
             partial(progress, self.name),
         )
         for draft, result in zip(drafts, results, strict=True):

@@ -46,9 +46,8 @@ class StuckLimbs:
         if not turned.any():  # and so none points away either
             self._lasted[:] = 0.0
             return False
-        own, wanted = (
-            points[self._ends] - points[self._starts] for points, _ in (pose, target)
-        )
+        ends, starts = self._ends, self._starts
+        own, wanted = (points[ends] - points[starts] for points, _ in (pose, target))
         away = np.vecdot(own, wanted) < np.cos(_AWAY) * self._squared
         stuck = np.array([away.any(), True])
         self._lasted = np.where(stuck, self._lasted + elapsed, 0.0)
