@@ -26,6 +26,7 @@ from .failures import (
     ImpossibleBodies,
     distrust,
     find_failures,
+    stray_joints,
     unmirrored,
     without_impossible_bodies,
 )
@@ -102,12 +103,16 @@ class Failures(Stage):
         self._impossible = ImpossibleBodies(body)
 
     def step(self, draft: Draft) -> None:
-        """Discard an impossible body; other failures take looking ahead to find."""
+        """Discard an impossible body, or stray joints.
+
+        Other failures take looking ahead to find.
+        """
         draft.impossible = self._impossible.step(draft.measured, draft.time)
         draft.appears = self._impossible.appears
-        if draft.impossible:
-            draft.measured = np.full_like(draft.measured, np.nan)
-            draft.state = np.zeros_like(draft.state)
+        lost = draft.impossible | stray_joints(draft.measured[None])[0]
+        if lost.any():
+            draft.measured = np.where(lost[:, None], np.nan, draft.measured)
+            draft.state = np.where(lost, np.uint8(State.NOT_TRACKED), draft.state)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Find and repair the failures of a take."""

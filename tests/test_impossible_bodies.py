@@ -96,6 +96,42 @@ def test_a_body_of_another_size_is_taken_out_and_told(factor: float) -> None:
     assert "filled" in told[0]["done"]
 
 
+@pytest.mark.parametrize("joint", ["HipCenter", "Spine", "KneeLeft", "HandRight"])
+def test_one_wrong_cell_changes_nothing_but_that_joint_and_is_told(joint: str) -> None:
+    """It used to throw the body through the air, and changed the person's size."""
+    take = act("wave")
+    positions = take.positions.copy()
+    positions[50, KINECT_V1.index(joint), 0] = 50.0
+    result = clean(replace(take, positions=positions), QUICK)
+    usual = clean(take, QUICK).clip
+    assert abs(result.clip.positions - usual.positions).max() < 0.03
+    assert result.clip.body.height == pytest.approx(usual.body.height, abs=0.01)
+    told = [f for f in as_json(result)["failures"] if f["kind"] == "stray"]
+    assert [(f["part"], f["start_s"]) for f in told] == [
+        (joint, pytest.approx(take.time[50]))
+    ]
+
+
+def test_a_body_that_falls_through_the_floor_stays_where_it_was() -> None:
+    """As trackers let it when somebody else walks in front; then nobody is seen."""
+    take = act("stand_idle").at(slice(90))
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[36:40, :, 1] -= [[0.3], [0.5], [1.2], [1.2]]
+    state[40:60] = State.NOT_TRACKED
+    fallen = replace(take, positions=positions, state=state)
+    assert FailureKind.SUNKEN in [kind for kind, *_ in bodies(fallen)]
+    cleaned, usual = (clean(t, QUICK).clip.positions for t in (fallen, take))
+    assert abs(cleaned - usual).max() < 0.1
+
+
+@pytest.mark.parametrize("motion", ["squat", "pick_up", "jump", "sit", "lie"])
+def test_who_goes_down_on_purpose_is_above_the_floor(motion: str) -> None:
+    take = act("wave" if motion == "lie" else motion)
+    if motion == "lie":
+        take = replace(take, positions=take.positions[..., [0, 2, 1]])
+    assert bodies(take) == []
+
+
 def test_gaps_and_missing_joints_are_no_jumps() -> None:
     take = act("run")
     kept = np.ones(len(take), dtype=bool)
@@ -200,6 +236,16 @@ def test_an_avatar_goes_on_without_impossible_bodies(
     if not first:  # begins where the person then is
         assert away[8:].max() < 0.05
     assert away[50:].max() < 0.05
+
+
+def test_an_avatar_goes_on_without_a_stray_joint(usual: list[Pose]) -> None:
+    positions = WAVING.positions.copy()
+    positions[30, KINECT_V1.index("Spine")] = 50.0
+    found = followed(replace(WAVING, positions=positions))
+    apart = [
+        abs(a.positions - b.positions).max() for a, b in zip(usual, found, strict=True)
+    ]
+    assert max(apart) < 0.05
 
 
 def test_an_avatar_believes_who_stays_elsewhere_after_half_a_second() -> None:

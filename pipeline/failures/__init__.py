@@ -3,12 +3,12 @@
 Sensors take a person whom they see from behind for one who faces them, with left and
 right swapped; they bend a knee backwards, put an arm through the head, or have a limb
 jump somewhere else and back. They place the whole body where nobody could get so fast,
-or make it the size of a house. Most of this lasts for many frames, so checks of single
-frames or of segment lengths miss it. Errors that look plausible show only later, when
-cleaning has to move a limb far.
+let it sink through the floor, or make it the size of a house. Most of this lasts for
+many frames, so checks of single frames or of segment lengths miss it. Errors that look
+plausible show only later, when cleaning has to move a limb far.
 """
 
-from .bodies import ImpossibleBodies
+from .bodies import ImpossibleBodies, stray_joints
 from .displaced import find_displaced
 from .gross import (
     Failure,
@@ -28,6 +28,7 @@ __all__ = [
     "distrust",
     "find_displaced",
     "find_failures",
+    "stray_joints",
     "unmirrored",
     "without_impossible_bodies",
 ]

@@ -1,4 +1,7 @@
-"""Bodies of an impossible size, or at a place that nobody could reach so fast."""
+"""Bodies of an impossible size, under the floor, or where nobody could be so soon.
+
+Also joints that are too far away from their body.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from statistics import median_low
 import numpy as np
 
 from kinefilter.characters import Body, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 _TOP_SPEED = 20.0
@@ -21,6 +24,9 @@ _PRIOR_FRAMES = 8  # how many frames the size of the followed body counts for. A
 _SIZE_FACTOR = 1.6
 """Factor by which the median segment of a frame may differ from that of the take; in
 1,300 recorded clips it is 0.80 to 1.30."""
+_REACH = 2.0  # m from the middle of the body, beyond which it has no joint
+_SUNK = 0.1  # m below the lower ankle's usual height: no hips are there
+_SINKING = 0.25  # s that a body takes to sink so far, or to come up again
 
 
 class ImpossibleBodies:
@@ -105,6 +111,38 @@ def wrong_size_frames(take: Take) -> Flags:
     return np.asarray((size > _SIZE_FACTOR) | (size < 1.0 / _SIZE_FACTOR))
 
 
+def stray_joints(positions: Array) -> Flags:
+    """Return True for joints too far away to be part of their body, (T, J)."""
+    away = positions - _middles(positions)[:, None]
+    return np.asarray(np.linalg.norm(away, axis=2) > _REACH)
+
+
+def sunken_frames(take: Take) -> Flags:
+    """Return the frames in which the body sinks through the floor for a moment, (T,).
+
+    A tracker that loses a person behind another one may let the body fall.
+    """
+    skeleton, time = take.skeleton, take.time
+    hips = take.positions[:, skeleton.root, 1]
+    ankles = take.positions[:, list(skeleton.sides("Ankle")), 1]
+    sunken = np.zeros(len(take), dtype=bool)
+    if np.isnan(ankles).all():
+        return sunken
+    usual = np.nanpercentile(np.fmin(*ankles.T), 10.0)
+    known = np.flatnonzero(~np.isnan(hips))
+    for run in runs(hips[known] < usual - _SUNK):
+        first, last = time[known[run]][[0, -1]]
+        if last - first < _BRIEF:
+            sunken |= (time > first - _SINKING) & (time < last + _SINKING)
+    return sunken
+
+
+def _middles(positions: Array) -> Array:
+    """Return the middle of the body [m] in each frame, shape (T, 3)."""
+    by_joint = positions.transpose(1, 0, 2).reshape(positions.shape[1], -1)
+    return column_medians(by_joint).reshape(-1, 3)
+
+
 def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     """Return the frames with the body at an impossible place, and those where it jumps.
 
@@ -113,9 +151,7 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     do jump from one person to another.
     """
     wrong, jumps = np.zeros((2, len(take)), dtype=bool)
-    middle = column_medians(
-        take.positions.transpose(1, 0, 2).reshape(len(take.skeleton), -1)
-    ).reshape(-1, 3)
+    middle = _middles(take.positions)
     known = np.flatnonzero(~np.isnan(middle[:, 0]))
     if not len(known):
         return wrong, jumps

@@ -13,7 +13,12 @@ from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 
-from .bodies import misplaced_frames, wrong_size_frames
+from .bodies import (
+    misplaced_frames,
+    stray_joints,
+    sunken_frames,
+    wrong_size_frames,
+)
 from .limb_failures import (
     LIMBS,
     bent_backwards,
@@ -39,6 +44,8 @@ class FailureKind(StrEnum):
     DISPLACED = "displaced by 9 cm or more"
     ELSEWHERE = "at an impossible place"
     ODD_SIZE = "far too large or too small"
+    SUNKEN = "below the floor"
+    STRAY = "meters away from the body"
     JUMPING = "jumping faster than a person can move"
 
     @property
@@ -47,7 +54,7 @@ class FailureKind(StrEnum):
         return _REMEDIES.get(self, "left as measured; check it")
 
 
-_IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE)
+_IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE, FailureKind.SUNKEN)
 """Failures whose frames say nothing about the person."""
 _DISTRUSTED = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs get reliability 0. An arm beyond its range is closer to the
@@ -59,7 +66,10 @@ _REMEDIES = {
     FailureKind.MIRRORED: "swapped back",
     **dict.fromkeys(_DISTRUSTED, "distrusted and inferred from the rest of the body"),
     FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
-    **dict.fromkeys(_IMPOSSIBLE_BODY, "removed and filled in from frames around it"),
+    **dict.fromkeys(
+        (*_IMPOSSIBLE_BODY, FailureKind.STRAY),
+        "removed and filled in from frames around it",
+    ),
     FailureKind.JUMPING: "left as measured; cut the take if it is another person",
 }
 
@@ -113,6 +123,11 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
         return ()
     time, kind = take.time, FailureKind
     found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
+    take = without_impossible_bodies(take, found)
+    stray = stray_joints(take.positions)
+    for joint, frames in zip(take.skeleton.joints, stray.T, strict=True):
+        found += stretches(time, kind.STRAY, joint, frames)
+    found += stretches(time, kind.SUNKEN, "body", sunken_frames(take))
     take = without_impossible_bodies(take, found)
     wrong, jumps = misplaced_frames(take)
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
@@ -169,15 +184,17 @@ def distrust(
 
 
 def without_impossible_bodies(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take with no joints in frames with an impossible body."""
-    frames = np.zeros(len(take), dtype=bool)
+    """Return a take without frames of an impossible body, and without stray joints."""
+    wrong = np.zeros(take.state.shape, dtype=bool)
     for failure in failures:
-        frames[failure.frames] |= failure.kind in _IMPOSSIBLE_BODY
-    if not frames.any():
+        if failure.kind in _IMPOSSIBLE_BODY:
+            wrong[failure.frames] = True
+        elif failure.kind is FailureKind.STRAY:
+            wrong[failure.frames, take.skeleton.index(failure.part)] = True
+    if not wrong.any():
         return take
-    positions = np.where(frames[:, None, None], np.nan, take.positions)
-    state = np.where(frames[:, None], State.NOT_TRACKED, take.state)
-    return replace(take, positions=positions, state=state.astype(np.uint8))
+    state = np.where(wrong, np.uint8(State.NOT_TRACKED), take.state)
+    return replace(take, state=state)  # which has no position there either
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:

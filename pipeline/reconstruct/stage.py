@@ -46,6 +46,9 @@ class Reconstruct(Stage):
         self._tracked = self._tracked + (now - self._tracked) / self._frames
         measured, skeleton = draft.measured, draft.skeleton
         hidden = hidden_joints(measured, draft.state, skeleton, self._tracked)
+        if not self._tracked[skeleton.root]:
+            measured = with_root(measured, draft.body)
+            hidden[skeleton.root] = False
         time = float(draft.time)
         draft.filled, draft.hidden = self._tracker.step(measured, hidden, time)
 
@@ -55,6 +58,8 @@ class Reconstruct(Stage):
             self._others = [read_take(file) for file in self._files]
         skeleton, time, positions = draft.skeleton, draft.time, draft.measured
         hidden = hidden_joints(positions, draft.state, skeleton)
+        if hidden[:, skeleton.root].all():
+            positions = with_root(positions, draft.body)
         recorded, first = positions[:, skeleton.root], 0
         for other in self._others:
             if other.skeleton != skeleton:
@@ -80,6 +85,27 @@ class Reconstruct(Stage):
         own = (draft.time, filled[first:], unseen, draft.body, prior)
         draft.filled, pointed = fill_unseen(*own)
         draft.hidden = which[first:] | pointed
+
+
+def with_root(positions: Array, body: Body) -> Array:
+    """Return joints (..., J, 3) with a root that the sensor does not see.
+
+    It is between the hips, or straight below whichever other joints of the trunk are
+    seen, as far as in the rest pose.
+    """
+    skeleton, rest = body.skeleton, body.rest_positions
+    spine = [skeleton.girdle]
+    while (parent := skeleton.parents[spine[0]]) != skeleton.root:
+        spine.insert(0, parent)
+    ends = [list(skeleton.sides(part)) for part in ("Hip", "Shoulder")]
+    root = np.full_like(positions[..., 0, :], np.nan)
+    for joints in (ends[0], *([j] for j in spine), ends[1], [skeleton.index("Head")]):
+        above = (rest[joints] - rest[skeleton.root]).mean(axis=0) * [0.0, 1.0, 0.0]
+        found = positions[..., joints, :].mean(axis=-2) - above
+        root = np.where(np.isnan(root), found, root)
+    rooted = positions.copy()
+    rooted[..., skeleton.root, :] = root
+    return rooted
 
 
 def hidden_joints(
