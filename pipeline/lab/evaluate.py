@@ -215,9 +215,7 @@ def repetition(pair: PairedTake) -> int:
     return int(number.group(1))
 
 
-def reliability_auc(
-    pairs: Sequence[PairedTake],
-) -> dict[str, dict[str, float | None]]:
+def reliability_auc(pairs: Sequence[PairedTake]) -> dict[str, dict[str, float | None]]:
     """Return how well each scoring finds limb joints with large errors.
 
     The figures are areas under the ROC curve of 1 - reliability, for joints with

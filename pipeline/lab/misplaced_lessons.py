@@ -21,9 +21,7 @@ from .two_views import FAR, LIMBS, Session, away_from, find_sessions, read_views
 _INVERSE_PENALTY = 0.1  # C of the regression
 
 
-def lessons(
-    sessions: Sequence[Session],
-) -> dict[str, tuple[Array, Flags, Array]]:
+def lessons(sessions: Sequence[Session]) -> dict[str, tuple[Array, Flags, Array]]:
     """Return training data for each kind of joint.
 
     Returns:
