@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, CorrectorChain, LearnedCorrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
@@ -64,10 +65,8 @@ def systems_of(
     for kind, text in requested:
         name, *settings = text.split(":")
         names = name.split("+") if kind == "method" else [name]
-        if unknown := [one for one in names if one not in known[kind]]:
-            raise InputError(
-                f"unknown {kind} {unknown[0]!r}; known: {', '.join(known[kind])}"
-            )
+        for one in names:
+            check_choice(one, known[kind], kind)
         fitting = [one for one in assigned if _has_parameter(kind, names[0], one)]
         used |= {*fitting}
         settings = [*fitting, *settings]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 
-from kinefilter.characters import InputError
+from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.formats import atomic_path
 
 from . import (
@@ -77,8 +77,7 @@ STUDIES = {run.__name__.replace("_", "-"): (run, q) for run, q in _WITH_QUICK_SI
 def check_names(names: Sequence[str]) -> None:
     """Raise an InputError if a name is not that of a study."""
     for name in names:
-        if name not in STUDIES:
-            raise InputError(f"unknown study {name!r}; known: {', '.join(STUDIES)}")
+        check_choice(name, STUDIES, "study")
 
 
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
