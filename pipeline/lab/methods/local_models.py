@@ -16,16 +16,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.pipeline.progress import Progress, silent
 
-from .gaussian_process import (
-    Kernel,
-    divergence_of,
-    divergences,
-    fit_kernel,
-    grow_factor,
-    grow_inverse,
-    shrink_factor,
-    shrink_inverse,
-)
+from . import gaussian_process as gp
 
 Votes = Literal["similarity", "precision"]
 
@@ -78,8 +69,8 @@ def fit_kernels(
         power = max(float(np.mean(y * y)), 1e-6)
         spread = max(float(np.sqrt(x.var(axis=0).sum())), 1e-2)
         scales = np.full((1, sizes[m]), 1.0 / spread)
-        start = Kernel(np.array([power]), scales, power, power / 10.0)
-        kernel = fit_kernel(start, x, y)
+        start = gp.Kernel(np.array([power]), scales, power, power / 10.0)
+        kernel = gp.fit_kernel(start, x, y)
         table[m, :3] = kernel.variances[0], kernel.bias, kernel.noise
         table[m, 3 : 3 + sizes[m]] = kernel.scales[0]
     return table
@@ -101,10 +92,12 @@ class JointKernels:
         self.theta0, self.theta1, self.noise = table[:, 0], table[:, 1], table[:, 2]
         self.roots = table[:, 3:]
 
-    def of_joint(self, m: int) -> Kernel:
+    def of_joint(self, m: int) -> gp.Kernel:
         """Return the kernel of one joint, for features multiplied by ``roots``."""
         theta0, theta1, noise = (x[m] for x in (self.theta0, self.theta1, self.noise))
-        return Kernel(np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise))
+        return gp.Kernel(
+            np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,21 +255,21 @@ class LocalModels:
         solved = self._inverse[m, q, :n, :n] @ covariance
         alone = kernel.prior + kernel.noise - float(solved @ covariance)
         apart = (offset - covariance @ self._alpha[m, q, :n]) / alone
-        gain = divergence_of(np.array([alone]), apart[None], kernel.noise)
+        gain = gp.divergence_of(np.array([alone]), apart[None], kernel.noise)
         if n and gain[0] < self._redundancy:
             return
         variance = kernel.prior + kernel.noise
-        factor = grow_factor(self.factors[m, q, :n, :n], covariance, variance)
-        inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
+        factor = gp.grow_factor(self.factors[m, q, :n, :n], covariance, variance)
+        inverse = gp.grow_inverse(self._inverse[m, q, :n, :n], factor)
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
         if n == most:
-            least = int(divergences(inverse, offsets, kernel.noise).argmin())
+            least = int(gp.divergences(inverse, offsets, kernel.noise).argmin())
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
-            inverse = shrink_inverse(inverse, least)
-            factor = shrink_factor(factor, least)
+            inverse = gp.shrink_inverse(inverse, least)
+            factor = gp.shrink_factor(factor, least)
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n
