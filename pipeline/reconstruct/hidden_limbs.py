@@ -15,8 +15,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
-from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge
