@@ -23,7 +23,6 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import Reference, measure_reference
 from kinefilter.retarget import measured_body
 
@@ -202,13 +201,11 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
         return ClueWeights.load(path, skeleton)
 
 
-def learned_weights(
-    pairs: Sequence[PairedTake], *, progress: Progress = silent
-) -> ClueWeights:
+def learned_weights(pairs: Sequence[PairedTake]) -> ClueWeights:
     """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
-    parts = [_clues_and_errors(pair) for pair in over(pairs, "clues", progress)]
+    parts = map(_clues_and_errors, pairs)
     clues, far = map(np.concatenate, zip(*parts, strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
     kinds = np.array(learned.skeleton.kinds)
