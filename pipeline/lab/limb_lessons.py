@@ -201,13 +201,9 @@ def _limb(
 
 def _rows(stretch: Stretches) -> Lessons:
     part, mirrored = part_of(stretch.seen.skeleton, stretch.limb.hidden)
-    windows = describe(stretch)
+    found = describe(stretch)
     flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
-    arrays = (
-        inputs_of(stretch, windows)[0],
-        flip * windows.base[0],
-        flip * windows.truth[0],
-    )
+    arrays = inputs_of(stretch, found)[0], flip * found.base[0], flip * found.truth[0]
     rows = Rows(*(array.astype(np.float32) for array in arrays))
     mode: Mode = "between" if stretch.ahead else "before"
     return {network_name(part, mode): rows}

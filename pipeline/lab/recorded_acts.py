@@ -139,10 +139,6 @@ def _completed(mocap: Array) -> Array:
 
 
 def _motion(time: Array, positions: Array, body: Body, source: str) -> Motion:
-    return Motion(
-        time=time,
-        body=body,
-        root=positions[:, body.skeleton.root],
-        rotations=rotations_from_positions(positions, body),
-        source=source,
-    )
+    root = positions[:, body.skeleton.root]
+    rotations = rotations_from_positions(positions, body)
+    return Motion(time=time, body=body, root=root, rotations=rotations, source=source)

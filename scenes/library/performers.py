@@ -195,13 +195,8 @@ def perform_medley(
 
 def _motion(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     rotations, positions = puppet.solve(pose)
-    return Motion(
-        time=time,
-        body=puppet.body,
-        root=positions[:, puppet.body.skeleton.root],
-        rotations=continuous(rotations),
-        source=name,
-    )
+    root, turns = positions[:, puppet.body.skeleton.root], continuous(rotations)
+    return Motion(time=time, body=puppet.body, root=root, rotations=turns, source=name)
 
 
 def _swaying(pose: Pose, time: Array, rng: Rng) -> Pose:
