@@ -10,14 +10,12 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
-LIMBS = tuple(
-    part + side
-    for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-    for side in ("Left", "Right")
-)
+LIMB_PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
 FAR = 0.07  # m: offset-free error above which a joint counts as wrong

@@ -47,12 +47,9 @@ _POINTED_TOES = np.radians(25.0)  # of a hanging foot
 _CLEARANCE = 0.03  # m of a lifted ankle above its height when the foot is flat
 _HANGS_FROM = 0.15  # m of ankle rise above which a lifted foot hangs fully
 _TRUNK = {
-    "HipCenter": "pelvis",
-    "SpineBase": "pelvis",
-    "Spine": "lower",
-    "SpineMid": "lower",
-    "ShoulderCenter": "thorax",
-    "SpineShoulder": "thorax",
+    **dict.fromkeys(("HipCenter", "SpineBase"), "pelvis"),
+    **dict.fromkeys(("Spine", "SpineMid"), "lower"),
+    **dict.fromkeys(("ShoulderCenter", "SpineShoulder"), "thorax"),
 }
 
 

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.lab.accuracy import FAR, LIMBS, mean_of_known
+from kinefilter.pipeline.lab.accuracy import FAR, LIMB_PARTS, LIMBS, mean_of_known
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
@@ -34,15 +34,7 @@ _TEST_PEOPLE = ("s06", "s07", "s08")  # the error model was fitted to the others
 _CLIPS = 200  # per person, approximately
 _TRACKERS: tuple[Tracker, ...] = ("model", "depth")
 _RECORDED = "recorded"
-_GROUPS = {
-    "shoulders": "Shoulder",
-    "elbows": "Elbow",
-    "wrists": "Wrist",
-    "hips": "Hip",
-    "knees": "Knee",
-    "ankles": "Ankle",
-    "all": "",
-}
+_GROUPS = {**{f"{part.lower()}s": part for part in LIMB_PARTS}, "all": ""}
 """Groups of limb joints, by the beginning of their names."""
 _RATE = 30.0  # frames per second of the clips
 _LONGEST = 45  # largest lag of the autocorrelation, in frames
