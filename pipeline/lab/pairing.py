@@ -118,11 +118,8 @@ def pair_session(
     mocap system moved between them. ``names`` are the names of the clips, by default
     those of the takes' files; ``table`` locates joints among markers, see
     ``joint_centers``; ``least`` is the minimum share of a take's movement that its
-    mocap must explain.
-
-    Raises:
-        InputError: No take can be paired, or the takes differ in skeleton or frame
-            rate.
+    mocap must explain. Raises an InputError if no take can be paired, or if the takes
+    differ in skeleton or frame rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)

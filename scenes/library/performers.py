@@ -110,16 +110,13 @@ def perform(
     world, facing +z, or with ``within`` at the start of its loop.
 
     Args:
-        name: One of MOTIONS, or of TASKS, which fit one scene.
+        name: One of MOTIONS, or of TASKS, which fit one scene; else an InputError.
         body: The performer's body, on any skeleton kinefilter knows.
         seed: Determines style, tempo and sides; the same seed gives the same arrays.
         fps: Frames per second.
         within: Area in which the root stays in gaits (carry, march, run, walk), which
             then go around it with shorter steps; by default they go straight ahead.
             Other motions ignore it.
-
-    Raises:
-        InputError: There is no motion with that name.
     """
     check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
@@ -163,15 +160,9 @@ def perform_medley(
 ) -> Motion:
     """Return several motions on the spot, one after another, at 30 frames per second.
 
-    Unlike in ``perform``, arms may pass through the body.
-
-    Args:
-        parts: Names of motions on the spot, and the minimum duration of each [s].
-        body: The performer's body, on any skeleton kinefilter knows.
-        seed: Determines style, tempo and sides; the same seed gives the same arrays.
-
-    Raises:
-        InputError: A name is not that of a motion on the spot, or there are no parts.
+    ``parts`` are their names and the minimum duration of each [s]; see ``perform`` for
+    the body and the seed. Unlike there, arms may pass through the body. Raises an
+    InputError if a motion does not stay on the spot, or without parts.
     """
     if not parts:
         raise InputError("a medley needs at least one motion")

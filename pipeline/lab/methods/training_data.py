@@ -55,11 +55,7 @@ class Learner(LearnedCorrector, ABC):
 
     @abstractmethod
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Train on pairs.
-
-        Raises:
-            InputError: There are too few pairs, or they are of another skeleton.
-        """
+        """Train on pairs; InputError if they are too few or of another skeleton."""
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -111,10 +107,8 @@ class TrainingFrames:
     ) -> Self:
         """Draw at most ``samples`` frames at random.
 
-        Every learned joint has at least ``least_reliability`` in them.
-
-        Raises:
-            InputError: There are too few such frames, or they are of another skeleton.
+        Every learned joint has at least ``least_reliability`` in them. Raises an
+        InputError if such frames are too few, or of another skeleton.
         """
         if training.skeleton != skeleton:
             raise InputError(

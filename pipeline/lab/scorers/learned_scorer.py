@@ -72,11 +72,7 @@ class ClueWeights:
 
     @classmethod
     def load(cls, path: Path, skeleton: Skeleton) -> Self:
-        """Read weights that ``save`` wrote.
-
-        Raises:
-            InputError: The file is missing, damaged, or for another skeleton.
-        """
+        """Read weights that ``save`` wrote; raises an InputError for other files."""
         try:
             file = read_arrays(path)
             kinds = file["kinds"].tolist()

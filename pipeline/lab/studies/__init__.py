@@ -83,8 +83,7 @@ def check_names(names: Sequence[str]) -> None:
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
     """Run a study, or with ``quick`` a small part of it; its figures then mean little.
 
-    Raises:
-        InputError: Unknown study, or recordings that are missing from the folder.
+    Raises an InputError if the study is unknown, or if recordings are missing.
     """
     check_names([name])
     run, sizes = STUDIES[name]

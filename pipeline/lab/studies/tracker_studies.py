@@ -110,15 +110,11 @@ def error_figures(
 ) -> tuple[float, float, float, float, float | None]:
     """Return figures of a tracker's errors.
 
-    Args:
-        clips: Errors [m] at 30 frames per second, NaN where unknown, each (T, J, 3).
-        other: Errors of another tracker in the same frames.
-
-    Returns:
-        The mean size of the constant part over a clip [cm]; of the rest, the moving
-        error, the root mean square [cm], the time after which its autocorrelation is
-        below 1/e [s], how often it is over 7 cm [%], and its correlation with that of
-        the other tracker.
+    ``clips`` are errors [m] at 30 frames per second, NaN where unknown, each (T, J, 3),
+    ``other`` those of another tracker in the same frames. The figures are the mean size
+    of the constant part over a clip [cm]; of the rest, the moving error, the root mean
+    square [cm], the time after which its autocorrelation is below 1/e [s], how often it
+    is over 7 cm [%], and its correlation with that of the other tracker.
     """
     offsets = [np.nanmean(clip, axis=0) for clip in clips]
     moving = [clip - mean for clip, mean in zip(clips, offsets, strict=True)]
