@@ -106,9 +106,7 @@ class Lesson(NamedTuple):
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
     """Hide limbs in random stretches of a recording, or in all of it.
 
-    Args:
-        recording: The recording; its name is the random seed.
-        modes: The networks to make training data for.
+    The name of the recording is the random seed. ``modes`` are those of the networks.
     """
     draft = Cleaner().until("measure").whole(recording.take)
     rng = np.random.default_rng(zlib.crc32(recording.name.encode()))

@@ -110,11 +110,9 @@ class Puppet:
     ) -> tuple[Array, Array]:
         """Return (upper arm, elbow) that bring the hand joint to a goal.
 
-        Args:
-            side: LEFT or RIGHT.
-            goal: Outward, up and forward of the joint between the shoulders, thorax
-                frame [m] on the standard body, (..., 3). Outward is to the arm's side.
-            elbow_to: Direction in which the elbow points, same axes, (..., 3).
+        The goal is outward (to the side of the arm), up and forward of the joint
+        between the shoulders, thorax frame [m] on the standard body, shape (..., 3);
+        the elbow points in the direction ``elbow_to``, same axes, shape (..., 3).
         """
         goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
         upper, lower = self._upper[side], self.forearm(side)

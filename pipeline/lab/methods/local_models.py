@@ -28,9 +28,8 @@ _SCATTER = 0.03  # m, deviation of the offsets from the trend (a guess)
 class JointFeatures:
     """Positions of a joint and of those that share a bone with it (Liu, section 4.1).
 
-    Args:
-        learned: Joints that have offsets, shape (M,).
-        seen: Joints that the sensor measures; the others are left out, shape (J,).
+    ``learned`` are the joints that have offsets, shape (M,). Joints that the sensor
+    does not measure, by ``seen`` (J,), are left out.
     """
 
     def __init__(self, skeleton: Skeleton, learned: Indices, seen: Flags) -> None:
@@ -55,13 +54,9 @@ def fit_kernels(
 ) -> Array:
     """Return every joint's kernel of greatest likelihood (eq. 6), (M, 3 + F).
 
-    Samples must be in random order, since only the first ones are used.
-
-    Args:
-        features: Zero-padded features [m], shape (N, M, F).
-        offsets: Offsets [m], shape (N, M, 3).
-        sizes: Number of features of each joint.
-        progress: Wraps the loop over the joints, for a progress bar.
+    Samples must be in random order, since only the first ones are used. Features [m]
+    are zero-padded, shape (N, M, F); ``sizes`` are their numbers for each joint.
+    Offsets [m] have shape (N, M, 3).
     """
     table = np.zeros((len(sizes), 3 + features.shape[2]))
     for m in progress("hyper-parameters", len(sizes)):
@@ -195,10 +190,8 @@ class LocalModels:
     ) -> tuple[Array, Array]:
         """Return the mixture's mean [m] and variance [m^2], noise included, (M, 3).
 
-        Args:
-            x: Features multiplied by the square roots of W, shape (M, F).
-            blended: Number of nearest models that are blended.
-            votes: Weights by which they are blended; see ``LocalGP``.
+        ``x`` are features multiplied by the square roots of W, shape (M, F). See
+        ``LocalGP`` for the number of ``blended`` models and for their ``votes``.
         """
         joints, models = self.centers.shape[:2]
         blended = min(blended, models)
@@ -235,12 +228,10 @@ class LocalModels:
         A sample that the others predict is left out (posture budgeting, section 3.2).
         If the model is full, the sample that the others predict best is dropped.
 
-        Args:
-            m: The joint.
-            x: Features multiplied by the square roots of W, shape (F,).
-            offset: The sample's offset [m], shape (3,).
-            reach: Distance from all centers, in units of the kernel, beyond which the
-                similarity of eq. 10 is too small and a new model begins.
+        The sample of joint ``m`` has an offset [m], shape (3,), at features ``x``,
+        which are multiplied by the square roots of W, shape (F,). Farther than
+        ``reach`` from all centers, in units of the kernel, the similarity of eq. 10 is
+        too small and a new model begins.
         """
         kernel = self._kernels[m]
         distances = np.linalg.norm(self.centers[m] - x, axis=1)

@@ -170,13 +170,9 @@ def add_offsets(
 ) -> Correction:
     """Return a posture moved by offsets; missing joints move with their parents.
 
-    Args:
-        skeleton: The joints.
-        posture: Joint positions [m], missing ones filled, shape (J, 3).
-        learned: The joints that have offsets, shape (M,).
-        offsets: Offsets of the learned joints [m], shape (M, 3).
-        missing: True for joints that were not measured, shape (J,).
-        coverage: Coverage of the posture by the training data, in [0, 1].
+    The posture [m], shape (J, 3), has missing joints filled; ``missing`` (J,) is True
+    for them. Offsets [m], shape (M, 3), are those of the ``learned`` joints (M,).
+    Coverage is that of the posture by the training data, in [0, 1].
     """
     corrected = posture.copy()
     corrected[learned] += np.where(missing[learned, None], 0.0, offsets)

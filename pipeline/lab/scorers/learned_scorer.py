@@ -93,10 +93,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     misjudges. It is 0 for a missing joint. The deciding term is the one whose clues
     raise the odds of an error most; Term.BEHAVIOR stands for noise and speed. The
     geometry is the reliability that the joint would have if it were always tracked.
-
-    Args:
-        reference: The person's segment lengths.
-        weights: Weights of the clues; by default those of the embedded file.
+    By default, the weights of the clues are those of the embedded file.
     """
 
     def __init__(
