@@ -44,16 +44,13 @@ def systems_of(
 ) -> list[System]:
     """Parse the systems named on the command line.
 
-    Args:
-        methods: Names from ``METHODS``, joined by ``+`` to form a chain, followed by
-            assignments to parameters: ``local-pca:neighbors=30:memory=0``.
-        presets: Names from ``PRESETS`` with assignments; ``all`` stands for all names.
-        assigned: NAME=VALUE, for every system that has such a parameter.
-        physics: Simulate the character after methods, as ``clean`` does, and in the
-            presets that include it.
-
-    Raises:
-        InputError: A name is unknown, or no system has an assigned parameter.
+    ``methods`` are names from ``METHODS``, joined by ``+`` to form a chain, followed by
+    assignments to parameters: ``local-pca:neighbors=30:memory=0``. ``presets`` are
+    names from ``PRESETS`` with assignments; ``all`` stands for all names. Assignments
+    that are ``assigned``, NAME=VALUE, are for every system that has such a parameter.
+    With ``physics``, the character is simulated after methods, as ``clean`` does, and
+    in the presets that include it. Raises an InputError if a name is unknown, or if no
+    system has an assigned parameter.
     """
     known: dict[str, Collection[str]] = {"method": METHODS, "preset": PRESETS}
     requested = [("method", text) for text in methods]

@@ -109,14 +109,11 @@ def perform(
     The last movement is always complete. The character starts near the origin of the
     world, facing +z, or with ``within`` at the start of its loop.
 
-    Args:
-        name: One of MOTIONS, or of TASKS, which fit one scene; else an InputError.
-        body: The performer's body, on any skeleton kinefilter knows.
-        seed: Determines style, tempo and sides; the same seed gives the same arrays.
-        fps: Frames per second.
-        within: Area in which the root stays in gaits (carry, march, run, walk), which
-            then go around it with shorter steps; by default they go straight ahead.
-            Other motions ignore it.
+    ``name`` is one of MOTIONS, or of TASKS, which fit one scene; InputError for others.
+    The seed determines style, tempo and sides; the same seed gives the same arrays.
+    ``within`` is the area in which the root stays in gaits (carry, march, run, walk),
+    which then go around it with shorter steps; by default they go straight ahead. Other
+    motions ignore it.
     """
     check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
