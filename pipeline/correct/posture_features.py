@@ -33,12 +33,9 @@ REACH = 2.0 * _APART  # s: older frames do not influence the features of movemen
 class Part(NamedTuple):
     """The left arm, the left leg, or the trunk."""
 
-    joints: Indices
-    """Its joints, as indices into the known joints, shape (K,)."""
-    own: Flags
-    """True for the features of the part itself, shape (F,)."""
-    weights: Singles
-    """Weights of all features, shape (F,)."""
+    joints: Indices  # its joints, as indices into the known joints, shape (K,)
+    own: Flags  # True for the features of the part itself, shape (F,)
+    weights: Singles  # of all features, shape (F,)
 
 
 class PostureFeatures:

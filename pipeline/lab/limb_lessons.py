@@ -82,12 +82,9 @@ _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant 
 class Rows(NamedTuple):
     """Training data: frames of hidden limbs, right ones mirrored to the left."""
 
-    inputs: Singles
-    """Inputs of the network, shape (N, F)."""
-    base: Singles
-    """Directions of the segments predicted without networks, shape (N, H, 3)."""
-    truth: Singles
-    """True directions of the segments, shape (N, H, 3)."""
+    inputs: Singles  # of the network, shape (N, F)
+    base: Singles  # directions of the segments, predicted without networks, (N, H, 3)
+    truth: Singles  # true directions of the segments, shape (N, H, 3)
 
 
 Floats = NDArray[np.floating[Any]]

@@ -28,10 +28,8 @@ _LONGEST_LOOP = 1.3  # largest ratio of a loop's axes: longer loops have sharp e
 class Area(NamedTuple):
     """A rectangle on the floor, world frame [m]."""
 
-    left: tuple[float, float]
-    """Smallest and largest x."""
-    forward: tuple[float, float]
-    """Smallest and largest z."""
+    left: tuple[float, float]  # smallest and largest x
+    forward: tuple[float, float]  # smallest and largest z
 
 
 class _Gait(NamedTuple):

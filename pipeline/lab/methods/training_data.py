@@ -22,29 +22,19 @@ _LEAST_FRAMES = 100
 class TrainingSet:
     """Frames on the standard body, root at the origin, facing +z, with ground truth."""
 
-    positions: Array
-    """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
-    reliability: Array
-    """Reliability in [0, 1], shape (N, J)."""
+    positions: Array  # measured joint positions [m], NaN where missing, (N, J, 3)
+    reliability: Array  # in [0, 1], shape (N, J)
     truth: Array
     """Mocap joint positions [m] in the same frame and scale, NaN where missing, shifted
     so that the hips' midpoint coincides with the measured one, shape (N, J, 3)."""
-    first: Flags
-    """True for the first frame of each take, shape (N,)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str
-    """Description of the pairs, for the model file."""
-    lengths: Array | None = None
-    """The person's own segment lengths [m] per frame, shape (N, J)."""
-    person: Indices | None = None
-    """Index of the person in each frame, shape (N,)."""
-    people: tuple[str, ...] = ()
-    """Names of the people, by index."""
-    time: Array | None = None
-    """Time stamps [s] within each take, shape (N,); None means 30 frames a second."""
-    sensor: Array | None = None
-    """Position of the sensor, as in ``Observation``, shape (N, 3)."""
+    first: Flags  # True for the first frame of each take, shape (N,)
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    source: str  # description of the pairs, for the model file
+    lengths: Array | None = None  # the person's own segment lengths [m], (N, J)
+    person: Indices | None = None  # index of the person in each frame, shape (N,)
+    people: tuple[str, ...] = ()  # names of the people, by index
+    time: Array | None = None  # stamps [s] within each take, (N,); None means at 30 Hz
+    sensor: Array | None = None  # its position, as in ``Observation``, shape (N, 3)
 
     def __len__(self) -> int:
         return len(self.positions)
