@@ -64,17 +64,13 @@ _RATES = 0.05  # relative difference allowed between frame rates in one file
 class Pairing:
     """A take with its mocap in the take's time and frame, and how they were aligned."""
 
-    pair: PairedTake
-    """Take and ground truth at an even rate; NaN where missing or not trusted."""
-    clock: Clock
-    """Converts the take's times to the mocap's."""
+    pair: PairedTake  # at an even rate; NaN where missing or not trusted
+    clock: Clock  # converts the take's times to the mocap's
     placed: Placement
     """From the mocap's axes, in meters, to the take's frame. For mocap with joints and
     z up, the source axes are x, z, -y."""
-    explained: float
-    """Share of the take's movement that the mocap explains."""
-    notes: tuple[str, ...]
-    """What was left out or could not be determined."""
+    explained: float  # share of the take's movement that the mocap explains
+    notes: tuple[str, ...]  # what was left out or could not be determined
 
     @property
     def away(self) -> Array:

@@ -112,8 +112,7 @@ class Score:
     """Key poses in time, joined by smooth movements."""
 
     def __init__(self, pose: Pose) -> None:
-        self.duration = 0.0
-        """Time of the last key pose [s]."""
+        self.duration = 0.0  # time of the last key pose [s]
         self._times = [0.0]
         self._poses = [pose]
 

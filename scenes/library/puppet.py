@@ -76,12 +76,9 @@ class Puppet:
         self._collar, self._upper, self._fore, self._hand = body.lengths[arm]
         _, self._thigh, self._shank, _ = body.lengths[leg]
         self._hips, _, _, self._sole = body.rest_offsets[leg]
-        self.ankle_height = float(rest[leg[2], 1].mean())
-        """Height [m] of the ankle when the foot is flat."""
-        self.hip_width = float(np.ptp(rest[leg[0], 0]))
-        """Distance [m] between the hip joints."""
-        self.leg = float((self._thigh + self._shank).mean())
-        """Length [m] of the straight leg, hip to ankle."""
+        self.ankle_height = float(rest[leg[2], 1].mean())  # where the foot is flat [m]
+        self.hip_width = float(np.ptp(rest[leg[0], 0]))  # between the hip joints [m]
+        self.leg = float((self._thigh + self._shank).mean())  # hip to ankle [m]
         girdle = body.skeleton.girdle
         self._upper_spine = body.rest_offsets[girdle]
         self._lower_spine = body.rest_offsets[body.skeleton.parents[girdle]]

@@ -132,12 +132,9 @@ class ConstantVelocity:
     """
 
     def __init__(self, count: int) -> None:
-        self.position = np.zeros((count, 3))
-        """Estimated positions [m], shape (J, 3)."""
-        self.velocity = np.zeros((count, 3))
-        """Estimated velocities [m/s], shape (J, 3)."""
-        self.covariance = np.zeros((count, 2, 2))
-        """Covariance of a coordinate's position and velocity, shape (J, 2, 2)."""
+        self.position = np.zeros((count, 3))  # estimated [m]
+        self.velocity = np.zeros((count, 3))  # estimated [m/s]
+        self.covariance = np.zeros((count, 2, 2))  # of a coordinate's two estimates
 
     def begin(self, which: Flags, positions: Array, variance: Array) -> None:
         """Reset points to their measured positions, with unknown velocity."""
