@@ -253,9 +253,8 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
             outputs = network.predict(given)
             # The library knows squared errors only, of which the gradient is outputs -
             # targets: with these targets it is that of the joints' error.
-            _, gradient = joint_error(
-                outputs, rows.base[batch], rows.truth[batch], lengths
-            )
+            base, truth = rows.base[batch], rows.truth[batch]
+            _, gradient = joint_error(outputs, base, truth, lengths)
             network.partial_fit(given, outputs - gradient)
         if epoch >= _EPOCHS - _AVERAGED:
             arrays = (*network.coefs_, *network.intercepts_)

@@ -149,9 +149,8 @@ def _joints(
             table = read_marker_set()
         else:
             return motion.positions, motion.unit, motion.meters
-    markers = dict(
-        zip(mocap.bare_names, np.moveaxis(mocap.positions, 1, 0), strict=True)
-    )
+    paths = np.moveaxis(mocap.positions, 1, 0)
+    markers = dict(zip(mocap.bare_names, paths, strict=True))
     found = table.centers(markers, skeleton, offsets=False)
     if np.isnan(found[:, skeleton.hips]).all():
         joints = table.joints[skeleton.name]

@@ -66,6 +66,5 @@ def learn_misplaced(sessions: Sequence[Session], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    learn_misplaced(
-        find_sessions([Path(sys.argv[1]) / "*_90deg_*"], None), Path(sys.argv[2])
-    )
+    beside = find_sessions([Path(sys.argv[1]) / "*_90deg_*"], None)
+    learn_misplaced(beside, Path(sys.argv[2]))

@@ -84,9 +84,8 @@ def lessons(
             draft = cleaner.whole(take, silent)
             away = draft.positions - leveled(mocap, draft.tilt)
             away -= away[:, skeleton.hips].mean(axis=1, keepdims=True)
-            parts.append(
-                (*uncertainty.describe(draft), away[:, uncertainty.judged(skeleton)])
-            )
+            away = away[:, uncertainty.judged(skeleton)]
+            parts.append((*uncertainty.describe(draft), away))
     columns = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Rows(pairs[0].subject, *columns)
 
@@ -155,10 +154,8 @@ def _scale_of(features: Array, away: Array, shares: Array) -> list[float]:
 
 def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None]:
     """Return ``within_uncertainty`` for seen and for hidden joints."""
-    limits = np.exp(
-        uncertainty.log_uncertainty(weights, rows.seen, rows.gone, rows.hidden)
-    )
-    shares = np.abs(rows.away) / limits[..., None]
+    logs = uncertainty.log_uncertainty(weights, rows.seen, rows.gone, rows.hidden)
+    shares = np.abs(rows.away) / np.exp(logs)[..., None]
     return {
         "seen": within_uncertainty(shares[~rows.hidden]),
         "hidden": within_uncertainty(shares[rows.hidden]),

@@ -49,9 +49,8 @@ def fill_hidden(
     hidden &= ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
-    seen = bridged_motion(
-        time, np.where(hidden[..., None], np.nan, positions), skeleton
-    )
+    visible = np.where(hidden[..., None], np.nan, positions)
+    seen = bridged_motion(time, visible, skeleton)
     prior = prior or default_prior()
     for gap, limb in _gaps(seen, hidden):
         _fill_limb(seen, gap, limb, prior)

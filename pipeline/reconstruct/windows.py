@@ -273,9 +273,8 @@ def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array
         ends.append(after + np.arange(far))
     planted = [planted_likelihood(world(e), seen.rate, seen.floor) for e in ends]
     seen_after = world(after) if hidden.ahead else None
-    place, firm = held_ankle(
-        world(last), seen_after, [p[:, None] for p in planted], hidden.time
-    )
+    likely = [p[:, None] for p in planted]
+    place, firm = held_ankle(world(last), seen_after, likely, hidden.time)
     place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
     hips, knees = seen.positions[frames, hip], seen.positions[frames, knee]

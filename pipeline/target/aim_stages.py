@@ -71,9 +71,8 @@ class _Aim(Stage):
             moved = [start, *draft.skeleton.descendants(start)]
             here, there = draft.positions[..., moved, :], before[..., moved, :]
             draft.positions[..., moved, :] = here + share[..., None] * (there - here)
-            draft.rotations[..., moved, :] = slerp(
-                draft.rotations[..., moved, :], turns[..., moved, :], share
-            )
+            both = draft.rotations[..., moved, :], turns[..., moved, :]
+            draft.rotations[..., moved, :] = slerp(*both, share)
 
     @staticmethod
     @abstractmethod

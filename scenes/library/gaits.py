@@ -97,7 +97,8 @@ def gait(
         strides = number - 0.5 * side + lead + _ease(swing)
         ankle[:, side, 2] = style.stride * size * strides
         ankle[:, side, 0] = (1.0 - 2.0 * side) * half
-        ankle[:, side, 1] = puppet.ankle_height + style.lift * size * _arc(swing)
+        arc = np.sin(np.pi * swing**0.8) ** 2  # highest before mid-swing
+        ankle[:, side, 1] = puppet.ankle_height + style.lift * size * arc
         foot[:, side, 0] = base.foot[side, 0]
         foot[:, side, 1] = _heel(phase, style)
     turn = 2.0 * np.pi * cycle
@@ -190,11 +191,6 @@ def _drift(rng: Rng, time: Array) -> Array:
 def _ease(s: Array) -> Array:
     """Minimum-jerk curve from 0 to 1 (Flash & Hogan 1985, J. Neurosci. 5(7))."""
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-
-
-def _arc(s: Array) -> Array:
-    """Bump over (0, 1) with its peak before the middle, at rest at both ends."""
-    return np.sin(np.pi * s**0.8) ** 2
 
 
 def _heel(phase: Array, style: _Gait) -> Array:

@@ -142,9 +142,8 @@ class Score:
             if field.name == "arm":
                 keys = continuous(keys)
             path = PchipInterpolator(self._times, keys)(time)
-            channels[field.name] = gaussian_filter1d(
-                path, width, axis=0, mode="nearest"
-            )
+            soft = gaussian_filter1d(path, width, axis=0, mode="nearest")
+            channels[field.name] = soft
         arm = channels["arm"]
         channels["arm"] = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
         return time, Pose(**channels)

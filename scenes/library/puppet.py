@@ -228,9 +228,8 @@ class Puppet:
         lift, forward = _collarbone_angles(rotate(upper, _X))
         collar = multiply(about_y(-forward), about_z(lift))
         fore = multiply(upper, about_y(-pose.elbow[..., side]))
-        wrist = multiply(
-            about_x(-pose.hand[..., side, 0]), about_z(-pose.hand[..., side, 1])
-        )
+        turns = pose.hand[..., side, :]
+        wrist = multiply(about_x(-turns[..., 0]), about_z(-turns[..., 1]))
         hand = multiply(fore, wrist)
         local = {"Shoulder": collar, "Elbow": upper, "Wrist": fore, "Hand": hand}
         local |= {"HandTip": hand, "Thumb": hand}

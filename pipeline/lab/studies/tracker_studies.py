@@ -67,10 +67,8 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
         own = [error[:, joints] for error in errors[name]]
         other, inferred = None, None
         if name != _RECORDED:
-            flags = [
-                p.inferred[:, joints] for p in recorded[name] if p.inferred is not None
-            ]
-            inferred = 100.0 * float(np.concatenate(flags).mean())
+            flags = [p.inferred for p in recorded[name] if p.inferred is not None]
+            inferred = 100.0 * float(np.concatenate(flags)[:, joints].mean())
             if _RECORDED in recorded:
                 other = [error[:, joints] for error in errors[_RECORDED]]
         rows.append((f"{group}, {name}", *error_figures(own, other), inferred))
@@ -173,9 +171,8 @@ def tracker_lessons(
         for tracker in _TRACKERS:
             without = [_without_offsets(pair) for pair in simulated[tracker]]
             simulated[f"{tracker}, offsets off"] = without
-        simulated["perfect"] = [
-            replace(p, take=truth_of(p)) for p in simulated["model"]
-        ]
+        perfect = [replace(p, take=truth_of(p)) for p in simulated["model"]]
+        simulated["perfect"] = perfect
         sets: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
         sets |= {name: (pairs, []) for name, pairs in simulated.items()}
         sets["recorded"] = (known, [])
