@@ -103,7 +103,6 @@ def pair_session(
     recordings: Sequence[tuple[Take, Mocap]],
     *,
     subject: str,
-    names: Sequence[str] = (),
     table: MarkerSet | None = None,
     least: float = EXPLAINED,
     progress: Progress = silent,
@@ -111,15 +110,14 @@ def pair_session(
     """Return pairs of a person's takes and mocap, and why the others are left out.
 
     Each recording is a take and mocap of the same movement; neither the sensor nor the
-    mocap system moved between them. ``names`` are the names of the clips, by default
-    those of the takes' files; ``table`` locates joints among markers, see
-    ``joint_centers``; ``least`` is the minimum share of a take's movement that its
-    mocap must explain. Raises an InputError if no take can be paired, or if the takes
-    differ in skeleton or frame rate.
+    mocap system moved between them. Clips are named after the takes' files; ``table``
+    locates joints among markers, see ``joint_centers``; ``least`` is the minimum share
+    of a take's movement that its mocap must explain. Raises an InputError if no take
+    can be paired, or if the takes differ in skeleton or frame rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)
-    clips = names or [Path(take.source).name.split(".")[0] for take in takes]
+    clips = [Path(take.source).name.split(".")[0] for take in takes]
     matches: list[_Match] = []
     refused: list[str] = []
     for k in over(range(len(recordings)), "pair", progress):
