@@ -160,7 +160,6 @@ def make_pictures(
 
 
 def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
-    """Write an animation of a clip."""
     from kinefilter.pipeline.look.options import Look
     from kinefilter.pipeline.look.video import render_clips
 
@@ -204,11 +203,8 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     columns = []
     with tempfile.TemporaryDirectory() as folder:
         camera = Path(folder) / "camera.toml"
-        camera.write_text(
-            f"position = {position.tolist()}\ntarget = {center.tolist()}\nfov = 36.0\n",
-            encoding="utf-8",
-            newline="\n",
-        )
+        place = f"position = {position.tolist()}\ntarget = {center.tolist()}\n"
+        camera.write_text(f"{place}fov = 36.0\n", encoding="utf-8", newline="\n")
         look = {"size": "200x240", "camera": str(camera)}
         look |= {"start": begin, "to": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):

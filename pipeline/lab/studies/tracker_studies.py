@@ -203,7 +203,6 @@ def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[Paired
 
 
 def _without_offsets(pair: PairedTake) -> PairedTake:
-    """Return the take as recorded without each joint's constant offset."""
     offsets = mean_of_known(pair.take.positions - pair.truth)
     positions = pair.take.positions - np.nan_to_num(offsets)
     return replace(pair, take=replace(pair.take, positions=positions))
