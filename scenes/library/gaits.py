@@ -229,9 +229,7 @@ def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
     if rng.random() < 0.3:
         return pose.with_arm(int(rng.integers(2)), puppet.arm(0.2, 0.1, 0.2, 0.1))
     goal = (rng.uniform(0.12, 0.2), rng.uniform(-0.42, -0.12), rng.uniform(0.25, 0.36))
-    flare = rng.uniform(0.1, 0.6)
-    for side in (LEFT, RIGHT):
-        pose = puppet.put_hand(pose, side, goal, (flare, -1.0, -0.3))
+    pose = puppet.reach_both(pose, goal, (rng.uniform(0.1, 0.6), -1.0, -0.3))
     return replace(pose, spine=pose.spine * np.array([1.0, 1.0, 0.3]) - [0.05, 0, 0])
 
 

@@ -146,10 +146,8 @@ def _varied(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
     ankle = base.ankle.copy()
     ankle[:, 2] += np.array([0.5, -0.5]) * sign * step
     drop = puppet.leg - np.sqrt(puppet.leg**2 - (step / 2.0) ** 2)
-    return replace(base, ankle=ankle).leaning(
-        drop=float(drop) + u(0.0, 0.06) * puppet.leg,
-        pelvis=(-0.3 * sign * step, 0.0, 0.0),
-    )
+    drop, yaw = float(drop) + u(0.0, 0.06) * puppet.leg, -0.3 * sign * step
+    return replace(base, ankle=ankle).leaning(drop=drop, pelvis=(yaw, 0.0, 0.0))
 
 
 def perform_medley(

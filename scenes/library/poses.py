@@ -85,8 +85,8 @@ class Pose:
         *,
         ankle: Array | None = None,
         yaw: float | None = None,
-        heel: float | None = None,
-        knee_out: float | None = None,
+        heel: float | Array | None = None,
+        knee_out: float | Array | None = None,
     ) -> Pose:
         """Return the pose with a foot, or with BOTH, planted as given [m, rad]."""
         ankles, foot, out = self.ankle.copy(), self.foot.copy(), self.knee_out.copy()
@@ -173,12 +173,10 @@ def within_ranges(pose: Pose) -> Pose:
 
     Elbows and knees cannot leave theirs; shoulders and hips stay as scripted.
     """
+    angles = ("flexion", "bend", "rotation")
     trunk, neck = (
-        np.radians(
-            [JOINT_RANGES[f"{part} {a}"] for a in ("flexion", "bend", "rotation")]
-        )
+        np.radians([JOINT_RANGES[f"{part} {angle}"] for angle in angles])
         for part in ("trunk", "neck")
     )
-    return replace(
-        pose, spine=np.clip(pose.spine, *trunk.T), head=np.clip(pose.head, *neck.T)
-    )
+    spine, head = np.clip(pose.spine, *trunk.T), np.clip(pose.head, *neck.T)
+    return replace(pose, spine=spine, head=head)
