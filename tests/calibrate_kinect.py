@@ -201,27 +201,22 @@ def state_figures(takes: list[Take]) -> dict[str, float]:
     skeleton = takes[0].skeleton
     inferred = np.concatenate([t.state == State.INFERRED for t in takes])
     share = inferred.mean(axis=0)
-
-    def of(stem: str) -> float:
-        return float(np.mean(share[skeleton.sides(stem)]))
-
+    limbs = {
+        f"inferred {stem.lower()}s": float(np.mean(share[skeleton.sides(stem)]))
+        for stem in ("Hand", "Wrist", "Elbow", "Knee", "Ankle")
+    }
     inferred_runs = [
         run.stop - run.start
         for take in takes
         for state in take.state.T
         for run in runs(state == State.INFERRED)
     ]
+    long_run = float(np.quantile(inferred_runs, 0.9))
     return {
         "inferred joints": float(share.mean()),
-        "inferred hands": of("Hand"),
-        "inferred wrists": of("Wrist"),
-        "inferred elbows": of("Elbow"),
-        "inferred knees": of("Knee"),
-        "inferred ankles": of("Ankle"),
+        **limbs,
         "inferred run, median [frames]": float(np.median(inferred_runs)),
-        "inferred run, 90th percentile [frames]": float(
-            np.quantile(inferred_runs, 0.9)
-        ),
+        "inferred run, 90th percentile [frames]": long_run,
     }
 
 
@@ -289,8 +284,7 @@ KNOWN = {
 
 def print_table(title: str, columns: dict[str, dict[str, float]]) -> None:
     """Print figures side by side and, last over first, their ratio."""
-    table = Table(title=title)
-    table.add_column("figure")
+    table = Table("figure", title=title)
     for name in (*columns, "ratio"):
         table.add_column(name, justify="right")
     first, *_, last = columns.values()
@@ -307,12 +301,9 @@ def print_fits(fitted: list[Pair], held_out: list[Pair]) -> None:
     size, shared = fit_moving(fitted, offsets)
     gain = fit_foreshortening(fitted[::4])
     good, holds = explained(fitted, offsets), explained(held_out, offsets)
-    table = Table(title=f"Fitted to {', '.join(FITTED)}; held out {HELD_OUT}")
-    for name in (
-        *("joint", "own segment, cm", "next segment, cm", "moving", "shared"),
-        *("explained", "held out", "front"),
-    ):
-        table.add_column(name)
+    title = f"Fitted to {', '.join(FITTED)}; held out {HELD_OUT}"
+    names = ("joint", "own segment, cm", "next segment, cm", "moving", "shared")
+    table = Table(*names, "explained", "held out", "front", title=title)
     for j in JOINTS:
         if not KINECT_V1.joints[j].endswith("Right"):
             own, after = (100.0 * offsets[j]).reshape(2, 3)
@@ -334,22 +325,16 @@ def main(data: Path) -> None:
     for people, pairs_of_them in ((HELD_OUT, held_out), (FITTED, fitted)):
         seen = [seen_by(pair) for pair in pairs_of_them]
         both = {"recorded": pairs_of_them, "simulated": seen}
-        print_table(
-            f"Before the mocap of {', '.join(people)}",
-            {name: paired_figures(found) for name, found in both.items()},
-        )
+        columns = {name: paired_figures(found) for name, found in both.items()}
+        print_table(f"Before the mocap of {', '.join(people)}", columns)
     started = time.process_time()
     free, frontal = free_takes(), gesture_takes()
     spent = time.process_time() - started
     print_table("Free movement", {"known": KNOWN, "simulated": _takes_figures(free)})
     files = sorted((data / "takes" / "labanotation").glob("Ges*.csv"))
-    print_table(
-        "Frontal gestures",
-        {
-            "recorded": _takes_figures([read_take(file) for file in files]),
-            "simulated": _takes_figures(frontal),
-        },
-    )
+    gestures = {"recorded": [read_take(f) for f in files], "simulated": frontal}
+    columns = {name: _takes_figures(takes) for name, takes in gestures.items()}
+    print_table("Frontal gestures", columns)
     frames = sum(len(take) for take in (*free, *frontal))
     console.print(f"{frames / spent:.0f} frames/s on one core, performers included")
 

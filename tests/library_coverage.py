@@ -94,18 +94,6 @@ def nearest(real: Array, library: Array) -> tuple[Array, Array, NDArray[np.intp]
     return mean, rms, which
 
 
-def paired_postures(pairs: list[PairedTake]) -> tuple[Array, NDArray[np.str_]]:
-    """Return mocap on the standard body as training sees it, and each frame's clip."""
-    clips = np.concatenate([np.full(len(p.take), p.clip) for p in pairs])
-    return training_set(pairs).truth, clips
-
-
-def own_postures(pairs: list[PairedTake]) -> tuple[Array, NDArray[np.str_]]:
-    """Return mocap on the standard body by the mocap's own bones, and the clips."""
-    clips = np.concatenate([np.full(len(p.take), p.clip) for p in pairs])
-    return np.concatenate([standardized(p.truth) for p in pairs]), clips
-
-
 def standardized(positions: Array) -> Array:
     """Return a recording [m], NaN where missing, on the standard body, (T, J, 3).
 
@@ -122,10 +110,8 @@ def standardized(positions: Array) -> Array:
 
 def read_ui_prmd(folder: Path, every: int) -> list[PairedTake]:
     """Return every so many clips of each person, about evenly over the movements."""
-    pairs = []
-    for file in sorted(folder.glob("s*.npz")):
-        pairs += read_pairs(file)[::every]
-    return pairs
+    files = sorted(folder.glob("s*.npz"))
+    return [pair for file in files for pair in read_pairs(file)[::every]]
 
 
 def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
@@ -173,16 +159,13 @@ def print_source(
         ]
         print_line(f"{line}   {', '.join(top)}")
     mean, _, which = found["shipped"]
-    far = sorted(
-        ((np.median(mean[mask]) * 100, g) for g, mask in rows[1:]), reverse=True
-    )
-    print_line("  worst: " + ", ".join(f"{g} {d:.1f}" for d, g in far[:4]))
-    away = np.linalg.norm(
-        centered(real) - centered(libraries["shipped"])[which], axis=2
-    )
-    joints = (
-        np.nansum(away, axis=0) / np.maximum((~np.isnan(away)).sum(axis=0), 1) * 100
-    )
+    medians = [(np.median(mean[mask]) * 100, group) for group, mask in rows[1:]]
+    far = sorted(medians, reverse=True)[:4]
+    print_line("  worst: " + ", ".join(f"{group} {cm:.1f}" for cm, group in far))
+    apart = centered(real) - centered(libraries["shipped"])[which]
+    away = np.linalg.norm(apart, axis=2)
+    known = np.maximum((~np.isnan(away)).sum(axis=0), 1)
+    joints = np.nansum(away, axis=0) / known * 100
     order = np.argsort(-joints)[:6]
     worst = ", ".join(f"{KINECT_V1.joints[j]} {joints[j]:.1f}" for j in order)
     print_line(f"  worst joints, mean cm: {worst}")
@@ -223,9 +206,9 @@ def main() -> None:
     options = parser.parse_args()
     libraries, labels = read_libraries()
     pairs = read_ui_prmd(options.data / "ui-prmd", options.every)
-    for name, read in (("mocap", own_postures), ("paired", paired_postures)):
-        real, clips = read(pairs)
-        groups = np.array([movement(clip) for clip in clips.tolist()])
+    groups = np.concatenate([np.full(len(p.take), movement(p.clip)) for p in pairs])
+    own = np.concatenate([standardized(p.truth) for p in pairs])
+    for name, real in (("mocap", own), ("paired", training_set(pairs).truth)):
         print_source(f"ui-prmd, {name}", real, groups, libraries, labels)
     real, clips = read_cmu(options.data / "mocap" / "cmu", options.every)
     subjects = np.array([f"subject {clip[:2]}" for clip in clips.tolist()])

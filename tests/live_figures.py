@@ -150,6 +150,18 @@ class Stopwatch:
                 self.memory.append(self.live.memory)
 
 
+@asynccontextmanager
+async def watched(*flags: str) -> AsyncIterator[tuple[Live, Stopwatch]]:
+    """Run ``kinefilter live`` while poses are read; the caller is to end it."""
+    with tempfile.TemporaryDirectory() as folder:
+        async with live(Path(folder), *flags) as running:
+            watch = Stopwatch(running)
+            listening = asyncio.ensure_future(watch.listen())
+            yield running, watch
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+
 def told(watch: Stopwatch, counts: dict[str, Any]) -> None:
     """Print what was measured."""
     times = np.array(watch.times) * 1e3
@@ -173,65 +185,49 @@ def told(watch: Stopwatch, counts: dict[str, Any]) -> None:
 
 async def stream(seconds: float, speed: float, count: int, *flags: str) -> None:
     """Stream people, and print latencies and memory."""
-    with tempfile.TemporaryDirectory() as folder:
-        async with live(Path(folder), *flags) as running:
-            watch = Stopwatch(running)
-            listening = asyncio.ensure_future(watch.listen())
-            frames = frames_of(people(count), loop=True)
-            await watch.send(frames, seconds, speed)
-            await asyncio.sleep(1.0)
-            used = running.seconds
-            counts = await running.finish()
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
-            told(watch, counts)
-            _say(f"{used / (seconds / speed):.0%} of a core")
+    async with watched(*flags) as (running, watch):
+        await watch.send(frames_of(people(count), loop=True), seconds, speed)
+        await asyncio.sleep(1.0)
+        used = running.seconds
+        counts = await running.finish()
+    told(watch, counts)
+    _say(f"{used / (seconds / speed):.0%} of a core")
 
 
 async def malformed(count: int) -> None:
     """Send what is no frame, good frames in between, and print the counts."""
-    with tempfile.TemporaryDirectory() as folder:
-        async with live(Path(folder), "--height", "1.8") as running:
-            watch = Stopwatch(running)
-            listening = asyncio.ensure_future(watch.listen())
-            out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            good = frames_of(people(1), loop=True)
-            sent = 0
-            for k, message in enumerate(hostile_messages(count, seed=1)):
-                out.sendto(message, ("127.0.0.1", running.udp))
-                if k % 100 == 0:
-                    frame = next(good)
-                    watch.sent[frame.time] = time.perf_counter()
-                    out.sendto(format_frame(frame).encode(), ("127.0.0.1", running.udp))
-                    sent += 1
-                    watch.memory.append(running.memory)
-                await asyncio.sleep(1 / 200)  # under the rate that is allowed
-            await asyncio.sleep(1.0)
-            counts = await running.finish()
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
-            _say(f"{count} malformed, {sent} good sent")
-            _say(f"counted as malformed: {sum(counts['malformed'].values())}")
-            told(watch, counts)
+    async with watched("--height", "1.8") as (running, watch):
+        out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        good = frames_of(people(1), loop=True)
+        sent = 0
+        for k, message in enumerate(hostile_messages(count, seed=1)):
+            out.sendto(message, ("127.0.0.1", running.udp))
+            if k % 100 == 0:
+                frame = next(good)
+                watch.sent[frame.time] = time.perf_counter()
+                out.sendto(format_frame(frame).encode(), ("127.0.0.1", running.udp))
+                sent += 1
+                watch.memory.append(running.memory)
+            await asyncio.sleep(1 / 200)  # under the rate that is allowed
+        await asyncio.sleep(1.0)
+        counts = await running.finish()
+    _say(f"{count} malformed, {sent} good sent")
+    _say(f"counted as malformed: {sum(counts['malformed'].values())}")
+    told(watch, counts)
 
 
 async def slow(seconds: float) -> None:
     """Let somebody connect who never reads, and print what that costs."""
-    with tempfile.TemporaryDirectory() as folder:
-        async with live(Path(folder), "--height", "1.8") as running:
-            watch = Stopwatch(running)
-            listening = asyncio.ensure_future(watch.listen())
-            lazy = socket.create_connection(("127.0.0.1", running.ws))
-            lazy.sendall(
-                b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
-                b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-                b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-            )
-            await watch.send(frames_of(people(4), loop=True), seconds, 1.0)
-            counts = await running.finish()
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
-            told(watch, counts)
+    async with watched("--height", "1.8") as (running, watch):
+        lazy = socket.create_connection(("127.0.0.1", running.ws))
+        lazy.sendall(
+            b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\n"
+            b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+        )
+        await watch.send(frames_of(people(4), loop=True), seconds, 1.0)
+        counts = await running.finish()
+    told(watch, counts)
 
 
 def main() -> None:

@@ -100,12 +100,7 @@ def main() -> None:
         if not given.people or session.person in given.people
     ]
     table = Table("sensors", title="people who walk about, seen by one sensor")
-    for heading in (
-        "sessions",
-        "backward, %",
-        "wrong sides, %",
-        "limbs, cm",
-    ):
+    for heading in ("sessions", "backward, %", "wrong sides, %", "limbs, cm"):
         table.add_column(heading, justify="right")
     for angle in ("parallel", "45deg", "90deg"):
         walks = [s for s in sessions if s.name.endswith(f"{angle}_walk")]

@@ -185,7 +185,11 @@ def test_dropped_and_repeated_frames_get_their_places_at_an_even_rate() -> None:
 def test_takes_of_a_session_share_transform_and_clock_offset() -> None:
     acts = [exercise(name) for name in ("tai_chi", "squat", "wave")]
     made = [recordings(act, lag=0.4 + 0.002 * k) for k, act in enumerate(acts)]
-    pairings, refused = pair_session(made, subject="ann", names=("a", "b", "c"))
+    named = [
+        (replace(take, source=f"{name}.csv.gz"), mocap)
+        for name, (take, mocap) in zip("abc", made, strict=True)
+    ]
+    pairings, refused = pair_session(named, subject="ann")
     assert refused == []
     assert [p.pair.clip for p in pairings] == ["a", "b", "c"]
     assert all(p.placed is pairings[0].placed for p in pairings)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -107,6 +107,15 @@ def left(turn: Turn, matrix: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(found[1], -1.0, 1.0))))
 
 
+def all_left(
+    found: list[Bearing],
+    name: str,
+    find: Callable[[Bearing, Array], Turn] = Bearing.turn,
+) -> list[float]:
+    """Return the degrees left of all takes in a row of the table."""
+    return [left(find(b, m), m) for m in matrices(name) for b in found]
+
+
 def bearings(data: Path, half: int) -> list[Bearing]:
     """Return those of half of the people: 0 to choose on, 1 to tell on."""
     found = [Bearing.of(pair.take) for pair in pairs(data, half)]
@@ -149,19 +158,10 @@ def limit(name: str, value: float | None = None) -> float:
 
 def cost(found: list[Bearing]) -> float:
     """Return the mean of degrees left, infinite if a take as recorded is turned."""
-    if any(
-        b.turn(np.eye(3)) != replace(Turn(), doubt=b.turn(np.eye(3)).doubt)
-        for b in found
-    ):
+    turns = [b.turn(np.eye(3)) for b in found]
+    if any(turn != replace(Turn(), doubt=turn.doubt) for turn in turns):
         return np.inf
-    return float(
-        np.mean(
-            [
-                np.mean([left(b.turn(m), m) for m in matrices(name) for b in found])
-                for name in TURNS
-            ]
-        )
-    )
+    return float(np.mean([np.mean(all_left(found, name)) for name in TURNS]))
 
 
 def choose(found: list[Bearing]) -> dict[str, float]:
@@ -196,9 +196,7 @@ def accuracy(data: Path) -> Iterator[tuple[str, list[float]]]:
     config = CleanConfig(method="local-pca")
     measure = Accuracy(KINECT_V1)
     for name in TURNS:
-        errors: dict[str, list[float]] = {
-            m: [] for m in ("nothing", "always", "shipped")
-        }
+        errors: dict[str, list[float]] = {}
         for pair in told:
             matrix = matrices(name)[0]
             turned = replace(pair.take, positions=pair.take.positions @ matrix.T)
@@ -213,7 +211,8 @@ def accuracy(data: Path) -> Iterator[tuple[str, list[float]]]:
             }
             for method, (take, how) in tries.items():
                 away = measure.distances(clean(take, how).clip.positions, pair.truth)
-                errors[method].append(100.0 * float(np.nanmean(away)))
+                error = 100.0 * float(np.nanmean(away))
+                errors.setdefault(method, []).append(error)
         yield name, [float(np.mean(e)) for e in errors.values()]
 
 
@@ -232,10 +231,7 @@ def told(
         cells = []
         for method in _METHODS:
             use(chosen if method == "chosen" else shipped)
-            find = _FINDS.get(method, Bearing.turn)
-            rest = np.array(
-                [left(find(b, m), m) for m in matrices(name) for b in found]
-            )
+            rest = np.array(all_left(found, name, _FINDS.get(method, Bearing.turn)))
             cells.append(f"{rest.mean():.1f} ({100.0 * np.mean(rest < 10.01):.0f})")
         table.add_row(name, *cells)
     return table

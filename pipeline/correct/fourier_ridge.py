@@ -115,10 +115,8 @@ class FourierRidge(LearnedCorrector):
         self._means: tuple[Any, ...] = ()
 
     def _prepare(self) -> None:
-        parts, every = (
-            self._posture_features.parts,
-            np.ones(len(self.mean_), dtype=bool),
-        )
+        parts = self._posture_features.parts
+        every = np.ones(len(self.mean_), dtype=bool)
         centers = [(every, self.centers_), (every, self.far_centers_)]
         of_parts = (self.arm_centers_, self.leg_centers_, self.trunk_centers_)
         centers += zip((part.own for part in parts), of_parts, strict=True)

@@ -105,9 +105,8 @@ class Hold(Corrector):
             if unknown.any():
                 posture, p = postures[unknown], self._parents[j]
                 above = self._parents[p]
-                turn = between(
-                    self._rest[p] - self._rest[above], posture[:, p] - posture[:, above]
-                )
+                rest = self._rest[p] - self._rest[above]
+                turn = between(rest, posture[:, p] - posture[:, above])
                 own = rotate(turn, self._rest[j] - self._rest[p])
                 postures[unknown, j] = posture[:, p] + own
 

@@ -117,7 +117,6 @@ class LocalPCA(Corrector):
         return joined(parts)
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
-        """Correct the next frames of a take."""
         measured, missing = take.positions, np.isnan(take.positions[..., 0])
         reliability = np.where(missing, 0.0, take.reliability)
         priors, nearest = self._synthesize_each(measured, reliability, frames)

@@ -33,12 +33,9 @@ REACH = 2.0 * _APART  # s: older frames do not influence the features of movemen
 class Part(NamedTuple):
     """The left arm, the left leg, or the trunk."""
 
-    joints: Indices
-    """Its joints, as indices into the known joints, shape (K,)."""
-    own: Flags
-    """True for the features of the part itself, shape (F,)."""
-    weights: Singles
-    """Weights of all features, shape (F,)."""
+    joints: Indices  # its joints, as indices into the known joints, shape (K,)
+    own: Flags  # True for the features of the part itself, shape (F,)
+    weights: Singles  # of all features, shape (F,)
 
 
 class PostureFeatures:
@@ -53,10 +50,8 @@ class PostureFeatures:
         spine = [skeleton.root, skeleton.parents[skeleton.girdle], skeleton.girdle]
         trunk = [*spine, skeleton.index("Head")]
         limbs = [j for part in _LIMBS for j in skeleton.sides(part)]
-        self.joints = np.array([*trunk, *limbs])
-        """Indices of the known joints, shape (M,)."""
-        self.limbs = self.joints[len(trunk) :]
-        """Indices of the known joints of arms and legs."""
+        self.joints = np.array([*trunk, *limbs])  # the known ones, shape (M,)
+        self.limbs = self.joints[len(trunk) :]  # those of arms and legs
         rows = {int(j): k for k, j in enumerate(self.joints)}
         known = np.arange(len(rows))
         self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])
@@ -85,20 +80,17 @@ class PostureFeatures:
         signs[: 3 * size : 3] = -1.0
         order[3 * size : -2] = 3 * size + self._mirror[1:] - 1
         signs[-2] = -1.0
-        self.mirror = (order, signs)
-        """Order and signs of the features of the mirror image."""
+        self.mirror = (order, signs)  # of the features of the mirror image
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
         """The features of live motion: all but the movement until later frames."""
         self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
-        """Arm, leg and trunk."""
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)
         self._slots = np.array([corrected.index(j) for j in left])
         sizes = [len(part.joints) for part in self.parts]
         self.part_of = np.repeat(np.arange(len(sizes)), sizes)[self._slots]
         """Index of the part of each known joint, shape (M,)."""
-        self.is_right = left != known
-        """True for known joints of right limbs, shape (M,)."""
+        self.is_right = left != known  # of the known joints, shape (M,)
         self._share = np.where(self._mirror == known, 0.5, self.is_right)[:, None]
 
     def merge_sides(self, left: Array, right: Array) -> Array:

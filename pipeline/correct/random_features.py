@@ -15,11 +15,8 @@ _LINEAR = 0.8  # variance of the linear part, against 1 for the Gaussian part
 class RandomFeatures:
     """Random features whose inner products approximate the kernel of the inputs.
 
-    Args:
-        mean: Mean of the inputs, shape (F,).
-        count: Number of features besides the linear ones, even.
-        seed: Seed of the frequencies.
-        weights: Weight of each input, shape (F,).
+    ``count``, which is even, is the number of features besides the linear ones,
+    ``seed`` that of the frequencies. Mean and weights of the inputs have shape (F,).
     """
 
     def __init__(self, mean: Singles, count: int, seed: int, weights: Singles) -> None:

@@ -137,15 +137,10 @@ def _contrasts(bones: Array, lag: int, rest: int) -> Array:
     return np.asarray(np.nan_to_num(contrasts))
 
 
-def leftward(take: Take) -> Array:
-    """Return the sum of the vectors from right to left hip and shoulder [m], (T, 3)."""
-    return _across(take, "Hip") + _across(take, "Shoulder")
-
-
 def trunk_axes(take: Take) -> tuple[Array, Array, Array]:
     """Return unit vectors to the left, up the spine and to the front, each (T, 3)."""
     up = unit(_upward(take))
-    front = unit(np.cross(leftward(take), up))
+    front = unit(np.cross(_across(take, "Hip") + _across(take, "Shoulder"), up))
     return np.cross(up, front), up, front
 
 

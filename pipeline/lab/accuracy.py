@@ -10,14 +10,12 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
-LIMBS = tuple(
-    part + side
-    for part in ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-    for side in ("Left", "Right")
-)
+LIMB_PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
 FAR = 0.07  # m: offset-free error above which a joint counts as wrong
@@ -37,9 +35,7 @@ class Accuracy:
     def distances(self, positions: Array, truth: Array) -> Array:
         """Return E per frame and limb joint [m], NaN where unknown, shape (T, 12).
 
-        Args:
-            positions: Joint positions [m], shape (T, J, 3).
-            truth: Of the same frames and in the same orientation, shape (T, J, 3).
+        Positions and truth [m], shape (T, J, 3), have the same frames and orientation.
         """
         return np.asarray(np.linalg.norm(self.away(positions, truth), axis=2))
 
@@ -158,12 +154,9 @@ class Tally:
     ) -> None:
         """Add a clip.
 
-        Args:
-            pair: The raw take and its ground truth.
-            positions: Joint positions of the method's clip [m], shape (T, J, 3).
-            seconds: Computing time [s].
-            uncertainty: Uncertainty of the joints [m], shape (T, J).
-            warned: Whether cleaning warned of displaced limbs.
+        It consists of the raw take with its truth, the joint positions of the method's
+        clip [m], shape (T, J, 3), the computing time [s], the uncertainty of the joints
+        [m], shape (T, J), and whether cleaning warned of displaced limbs.
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth

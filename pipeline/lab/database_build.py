@@ -52,10 +52,8 @@ def database_from_mocap(
     """Build a database for the takes of a skeleton from mocap files.
 
     Files are BVH, AMC with its ASF, C3D or TRC, in any unit, with the joint names of
-    ``retarget/source_rigs``. The threshold rule keeps about ``count`` postures.
-
-    Raises:
-        InputError: There is no file, or a file lacks a joint.
+    ``retarget/source_rigs``. The threshold rule keeps about ``count`` postures. Raises
+    an InputError if there is no file, or if one lacks a joint.
     """
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
@@ -75,8 +73,7 @@ def database_from_pairs(
 ) -> PostureDatabase:
     """Build a database from the mocap in pairs, like ``database_from_mocap``.
 
-    Raises:
-        InputError: The pairs contain no mocap, or are of another skeleton.
+    Raises an InputError if the pairs contain no mocap, or are of another skeleton.
     """
     people: set[str] = set()
     truths = _truths(pairs, skeleton, people)

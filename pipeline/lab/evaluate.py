@@ -58,10 +58,8 @@ def evaluate(
     Arguments are the options of ``kinefilter evaluate``, which explains them, with
     clips in place of files; ``assigned`` is its ``--set``, and ``every`` tests every
     Nth clip only. ``database`` is by default the built-in one, and with ``mocap`` made
-    of the training clips.
-
-    Raises:
-        InputError: A method is unknown, or people or repetitions are too few.
+    of the training clips. Raises an InputError if a method is unknown, or if people or
+    repetitions are too few.
     """
     for items, kind, what in (
         (methods, str, "methods"),
@@ -215,9 +213,7 @@ def repetition(pair: PairedTake) -> int:
     return int(number.group(1))
 
 
-def reliability_auc(
-    pairs: Sequence[PairedTake],
-) -> dict[str, dict[str, float | None]]:
+def reliability_auc(pairs: Sequence[PairedTake]) -> dict[str, dict[str, float | None]]:
     """Return how well each scoring finds limb joints with large errors.
 
     The figures are areas under the ROC curve of 1 - reliability, for joints with

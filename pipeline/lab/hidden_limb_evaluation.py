@@ -89,28 +89,18 @@ def measure_hidden(
 ) -> tuple[list[Record], int]:
     """Hide limbs in clips and measure the errors after cleaning.
 
-    Args:
-        pairs: Clips of one or more people.
-        methods: Names as in ``systems_of``. Methods that learn are trained on the
-            clips of the other people, with nothing hidden.
-        options: What to hide.
-        recordings: Train the prior for hidden limbs on these and on the clips of the
-            other people; by default the shipped prior is used.
-        presets: Names in ``PRESETS``, likewise.
-        assigned: Parameters of all systems that have them, as NAME=VALUE.
-        every: Clean only every Nth take.
-        progress: Wraps the loop over takes, for a progress bar.
+    Methods, presets and ``assigned`` are as for ``systems_of``. Methods that learn are
+    trained on the clips of the other people, with nothing hidden. The prior for hidden
+    limbs is the one that ships, or with ``recordings`` one that is trained on these and
+    on the clips of the other people. Only every Nth take is cleaned.
 
-    Returns:
-        A record of each gap, and the number of gaps that were too long for their clip.
-        Errors [cm] are means over frames and joints, of the method, of the clip with
-        nothing hidden (``seen``) and of the baselines in ``SIMPLE``: relative to that
-        clip (``unhidden``) and to the ground truth (``mocap``). ``within`` holds the
-        percentages of hidden coordinates with errors below 1 and 1.96 uncertainties;
-        None in live mode and without ground truth.
-
-    Raises:
-        InputError: A method is unknown, or the gaps fit into no clip.
+    Returns a record of each gap, and the number of gaps that were too long for their
+    clip. Errors [cm] are means over frames and joints, of the method, of the clip with
+    nothing hidden (``seen``) and of the baselines in ``SIMPLE``: relative to that clip
+    (``unhidden``) and to the ground truth (``mocap``). ``within`` holds the percentages
+    of hidden coordinates with errors below 1 and 1.96 uncertainties; None in live mode
+    and without ground truth. Raises an InputError if a method is unknown, or if the
+    gaps fit into no clip.
     """
     systems = systems_of(methods, presets, assigned, physics=options.physics)
     cases = list(join_cases(pairs, options.context))[:: as_step(every)]

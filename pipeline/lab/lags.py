@@ -47,10 +47,8 @@ def best_lag(first: Array, second: Array, least: float) -> Lag | None:
 
     The lag is the time in the second recording at which the first one begins.
 
-    Args:
-        first: Distances [m], 1/_RATE s apart, NaN where unknown, shape (N, F).
-        second: Those of the other recording, shape (M, F).
-        least: Least overlap [s].
+    Distances [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F). The
+    recordings overlap by ``least`` [s] or more.
     """
     lags, correlation, common = correlations(first, second)
     valid = (common >= least * _RATE) & ~np.isnan(correlation)

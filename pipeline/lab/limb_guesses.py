@@ -29,12 +29,8 @@ def hide(
 ) -> Take:
     """Return a take in which joints are hidden from the sensor for some frames.
 
-    Args:
-        take: The recording.
-        joints: The joints to hide.
-        span: The frames in which they are hidden, which are not the first.
-        guess: What the sensor reports instead: nothing, or inferred wrong positions.
-        seed: Random seed of the wrong positions.
+    The ``span`` of frames does not contain the first. ``guess`` is what the sensor
+    reports instead: nothing, or inferred wrong positions, drawn from a ``seed``.
     """
     positions, state = take.positions.copy(), take.state.copy()
     positions[span, joints] = np.nan

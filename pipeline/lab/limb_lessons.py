@@ -82,12 +82,9 @@ _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant 
 class Rows(NamedTuple):
     """Training data: frames of hidden limbs, right ones mirrored to the left."""
 
-    inputs: Singles
-    """Inputs of the network, shape (N, F)."""
-    base: Singles
-    """Directions of the segments predicted without networks, shape (N, H, 3)."""
-    truth: Singles
-    """True directions of the segments, shape (N, H, 3)."""
+    inputs: Singles  # of the network, shape (N, F)
+    base: Singles  # directions of the segments, predicted without networks, (N, H, 3)
+    truth: Singles  # true directions of the segments, shape (N, H, 3)
 
 
 Floats = NDArray[np.floating[Any]]
@@ -106,9 +103,7 @@ class Lesson(NamedTuple):
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
     """Hide limbs in random stretches of a recording, or in all of it.
 
-    Args:
-        recording: The recording; its name is the random seed.
-        modes: The networks to make training data for.
+    The name of the recording is the random seed. ``modes`` are those of the networks.
     """
     draft = Cleaner().until("measure").whole(recording.take)
     rng = np.random.default_rng(zlib.crc32(recording.name.encode()))
@@ -201,13 +196,9 @@ def _limb(
 
 def _rows(stretch: Stretches) -> Lessons:
     part, mirrored = part_of(stretch.seen.skeleton, stretch.limb.hidden)
-    windows = describe(stretch)
+    found = describe(stretch)
     flip = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
-    arrays = (
-        inputs_of(stretch, windows)[0],
-        flip * windows.base[0],
-        flip * windows.truth[0],
-    )
+    arrays = inputs_of(stretch, found)[0], flip * found.base[0], flip * found.truth[0]
     rows = Rows(*(array.astype(np.float32) for array in arrays))
     mode: Mode = "between" if stretch.ahead else "before"
     return {network_name(part, mode): rows}
@@ -262,9 +253,8 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
             outputs = network.predict(given)
             # The library knows squared errors only, of which the gradient is outputs -
             # targets: with these targets it is that of the joints' error.
-            _, gradient = joint_error(
-                outputs, rows.base[batch], rows.truth[batch], lengths
-            )
+            base, truth = rows.base[batch], rows.truth[batch]
+            _, gradient = joint_error(outputs, base, truth, lengths)
             network.partial_fit(given, outputs - gradient)
         if epoch >= _EPOCHS - _AVERAGED:
             arrays = (*network.coefs_, *network.intercepts_)

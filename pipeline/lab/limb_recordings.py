@@ -30,8 +30,7 @@ class Recording(NamedTuple):
     movement: str
     name: str
     take: Take
-    share: float = 1.0
-    """Share of its frames to learn unseen arms from."""
+    share: float = 1.0  # of its frames, to learn unseen arms from
 
     @classmethod
     def of(cls, pair: PairedTake) -> Recording:

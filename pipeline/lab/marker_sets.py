@@ -58,11 +58,8 @@ class MarkerSet:
     ) -> Array:
         """Return joint positions, NaN where a marker is missing, shape (T, J, 3).
 
-        Args:
-            markers: Positions of each marker, shape (T, 3), in meters if there are
-                offsets.
-            skeleton: The joints to compute.
-            offsets: If False, joints lie at the mean of their markers.
+        ``markers`` has the positions of each, shape (T, 3), in meters if there are
+        offsets; without ``offsets``, joints lie at the mean of their markers.
         """
         count = len(next(iter(markers.values())))
         points = defaultdict(lambda: np.full((count, 3), np.nan), markers)
@@ -124,14 +121,9 @@ def joint_centers(
 ) -> Mocap:
     """Return mocap with the joints of a Kinect skeleton, in meters, NaN where missing.
 
-    Args:
-        mocap: Markers, or joints with names from ``retarget/source_rigs``.
-        skeleton: The joints to compute.
-        table: Locates joints among the markers; by default the mocap has joints, or
-            the markers of Plug-in Gait.
-
-    Raises:
-        InputError: The mocap has neither, or no unit of length fits.
+    The mocap has markers, or joints with names from ``retarget/source_rigs``. ``table``
+    locates joints among the markers; by default the mocap has joints, or the markers of
+    Plug-in Gait. Raises an InputError if it has neither, or if no unit of length fits.
     """
     positions, unit, meters = _joints(mocap, skeleton, table)
     if not unit:
@@ -157,9 +149,8 @@ def _joints(
             table = read_marker_set()
         else:
             return motion.positions, motion.unit, motion.meters
-    markers = dict(
-        zip(mocap.bare_names, np.moveaxis(mocap.positions, 1, 0), strict=True)
-    )
+    paths = np.moveaxis(mocap.positions, 1, 0)
+    markers = dict(zip(mocap.bare_names, paths, strict=True))
     found = table.centers(markers, skeleton, offsets=False)
     if np.isnan(found[:, skeleton.hips]).all():
         joints = table.joints[skeleton.name]

@@ -21,31 +21,17 @@ from kinefilter.characters import Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
 """The scored joints, and the first joints of their limbs."""
 FEATURES = (
-    "own length",
-    "length before",
-    "length beyond",
-    "length trembles",
-    "speed",
-    "acceleration",
-    "leap",
-    "far side",
-    "near side",
-    "faces sensor",
-    "hangs",
-    "straight",
-    "behind trunk",
-    "behind limb",
-    "across",
-    "ahead",
-    "unlike other",
+    *("own length", "length before", "length beyond", "length trembles", "speed"),
+    *("acceleration", "leap", "far side", "near side", "faces sensor", "hangs"),
+    *("straight", "behind trunk", "behind limb", "across", "ahead", "unlike other"),
     "farther than other",
 )
-_SIDES = ("Left", "Right")
 _SHORT, _MIDDLE, _LONG = 1.0 / 3.0, 0.5, 1.0  # s, windows of the features
 _FASTEST, _SHARPEST = 10.0, 300.0  # m/s and m/s^2 at which features are clipped
 _TRUNK = 0.25  # m from the trunk's middle line within which it may hide a joint
@@ -63,8 +49,7 @@ def misplaced(take: Take) -> Array:
     features = describe_limbs(take)
     for part in PARTS:
         bias, *scales = weights[part]
-        for side in _SIDES:
-            j = take.skeleton.index(part + side)
+        for j in take.skeleton.sides(part):
             scores[:, j] = expit(bias + features[:, j] @ np.array(scales))
     return scores
 
@@ -104,7 +89,7 @@ def describe_limbs(take: Take) -> Array:
     rays = positions / np.maximum(away, 1e-6)[..., None]
     cover = _behind_trunk(positions, rays, skeleton)
     for part, top in PARTS.items():
-        for side, sign in zip(_SIDES, (1.0, -1.0), strict=True):
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
             j, begin = skeleton.index(part + side), skeleton.index(top + side)
             other, opposite = skeleton.mirror[[j, begin]]
             before, beyond = skeleton.parents[j], skeleton.children[j][0]

@@ -21,14 +21,11 @@ from .two_views import FAR, LIMBS, Session, away_from, find_sessions, read_views
 _INVERSE_PENALTY = 0.1  # C of the regression
 
 
-def lessons(
-    sessions: Sequence[Session],
-) -> dict[str, tuple[Array, Flags, Array]]:
+def lessons(sessions: Sequence[Session]) -> dict[str, tuple[Array, Flags, Array]]:
     """Return training data for each kind of joint.
 
-    Returns:
-        Features, shape (N, F), whether the joint was wrong, and the name of the
-        session, for frames in which the frontal sensor is reliable itself.
+    That is features, shape (N, F), whether the joint was wrong, and the name of the
+    session, for frames in which the frontal sensor is reliable itself.
     """
     rows: dict[str, list[tuple[Array, Array, Array]]] = {part: [] for part in PARTS}
     for session in sessions:
@@ -69,6 +66,5 @@ def learn_misplaced(sessions: Sequence[Session], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    learn_misplaced(
-        find_sessions([Path(sys.argv[1]) / "*_90deg_*"], None), Path(sys.argv[2])
-    )
+    beside = find_sessions([Path(sys.argv[1]) / "*_90deg_*"], None)
+    learn_misplaced(beside, Path(sys.argv[2]))

@@ -64,17 +64,13 @@ _RATES = 0.05  # relative difference allowed between frame rates in one file
 class Pairing:
     """A take with its mocap in the take's time and frame, and how they were aligned."""
 
-    pair: PairedTake
-    """Take and ground truth at an even rate; NaN where missing or not trusted."""
-    clock: Clock
-    """Converts the take's times to the mocap's."""
+    pair: PairedTake  # at an even rate; NaN where missing or not trusted
+    clock: Clock  # converts the take's times to the mocap's
     placed: Placement
     """From the mocap's axes, in meters, to the take's frame. For mocap with joints and
     z up, the source axes are x, z, -y."""
-    explained: float
-    """Share of the take's movement that the mocap explains."""
-    notes: tuple[str, ...]
-    """What was left out or could not be determined."""
+    explained: float  # share of the take's movement that the mocap explains
+    notes: tuple[str, ...]  # what was left out or could not be determined
 
     @property
     def away(self) -> Array:
@@ -107,7 +103,6 @@ def pair_session(
     recordings: Sequence[tuple[Take, Mocap]],
     *,
     subject: str,
-    names: Sequence[str] = (),
     table: MarkerSet | None = None,
     least: float = EXPLAINED,
     progress: Progress = silent,
@@ -115,18 +110,14 @@ def pair_session(
     """Return pairs of a person's takes and mocap, and why the others are left out.
 
     Each recording is a take and mocap of the same movement; neither the sensor nor the
-    mocap system moved between them. ``names`` are the names of the clips, by default
-    those of the takes' files; ``table`` locates joints among markers, see
-    ``joint_centers``; ``least`` is the minimum share of a take's movement that its
-    mocap must explain.
-
-    Raises:
-        InputError: No take can be paired, or the takes differ in skeleton or frame
-            rate.
+    mocap system moved between them. Clips are named after the takes' files; ``table``
+    locates joints among markers, see ``joint_centers``; ``least`` is the minimum share
+    of a take's movement that its mocap must explain. Raises an InputError if no take
+    can be paired, or if the takes differ in skeleton or frame rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)
-    clips = names or [Path(take.source).name.split(".")[0] for take in takes]
+    clips = [Path(take.source).name.split(".")[0] for take in takes]
     matches: list[_Match] = []
     refused: list[str] = []
     for k in over(range(len(recordings)), "pair", progress):

@@ -63,8 +63,7 @@ def as_table(pairings: Sequence[Pairing]) -> Table:
 def draw_residuals(pairings: Sequence[Pairing], path: Path) -> None:
     """Plot each joint's median distance from the mocap (PNG).
 
-    Raises:
-        InputError: The file cannot be written, or matplotlib is not installed.
+    Raises an InputError if it cannot be written, or if matplotlib is not installed.
     """
     skeleton, medians = pairings[0].pair.take.skeleton, []
     for name in ("away", "varying"):

@@ -157,14 +157,11 @@ def write_rating_page(
 ) -> dict[str, Any]:
     """Write the page, and the key that links its clips to systems; return the key.
 
-    The page names neither systems nor motions.
-
-    The page shows two clips at a time, or one if ``single``, and ``repeats`` trials
-    once more at the end with swapped sides. The true motions, ``reference``, are shown
-    beside the clips. The seed determines the order, the sides and the clip numbers.
-
-    Raises:
-        InputError: Clips cannot be read, or do not show the same motions.
+    The page names neither systems nor motions. It shows two clips at a time, or one if
+    ``single``, and ``repeats`` trials once more at the end with swapped sides. The true
+    motions, ``reference``, are shown beside the clips. The seed determines the order,
+    the sides and the clip numbers. Raises an InputError if clips cannot be read, or do
+    not show the same motions.
     """
     if len(systems) < 2:
         raise InputError("give two systems or more to compare")

@@ -102,10 +102,7 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
 
     It is performed by the body in the file, on ``skeleton``, and starts facing +z.
     Joints that the file lacks keep their rest posture; positions are interpolated
-    linearly.
-
-    Raises:
-        InputError: The file is not mocap, or has unknown joints or too few frames.
+    linearly. Raises an InputError for other files, unknown joints or too few frames.
     """
     mocap = read_mocap(path)
     positions = kinect_motion(mocap, skeleton, RIGS).positions
@@ -139,10 +136,6 @@ def _completed(mocap: Array) -> Array:
 
 
 def _motion(time: Array, positions: Array, body: Body, source: str) -> Motion:
-    return Motion(
-        time=time,
-        body=body,
-        root=positions[:, body.skeleton.root],
-        rotations=rotations_from_positions(positions, body),
-        source=source,
-    )
+    root = positions[:, body.skeleton.root]
+    rotations = rotations_from_positions(positions, body)
+    return Motion(time=time, body=body, root=root, rotations=rotations, source=source)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinefilter.characters import InputError, Skeleton
+from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, CorrectorChain, LearnedCorrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
@@ -43,16 +44,13 @@ def systems_of(
 ) -> list[System]:
     """Parse the systems named on the command line.
 
-    Args:
-        methods: Names from ``METHODS``, joined by ``+`` to form a chain, followed by
-            assignments to parameters: ``local-pca:neighbors=30:memory=0``.
-        presets: Names from ``PRESETS`` with assignments; ``all`` stands for all names.
-        assigned: NAME=VALUE, for every system that has such a parameter.
-        physics: Simulate the character after methods, as ``clean`` does, and in the
-            presets that include it.
-
-    Raises:
-        InputError: A name is unknown, or no system has an assigned parameter.
+    ``methods`` are names from ``METHODS``, joined by ``+`` to form a chain, followed by
+    assignments to parameters: ``local-pca:neighbors=30:memory=0``. ``presets`` are
+    names from ``PRESETS`` with assignments; ``all`` stands for all names. Assignments
+    that are ``assigned``, NAME=VALUE, are for every system that has such a parameter.
+    With ``physics``, the character is simulated after methods, as ``clean`` does, and
+    in the presets that include it. Raises an InputError if a name is unknown, or if no
+    system has an assigned parameter.
     """
     known: dict[str, Collection[str]] = {"method": METHODS, "preset": PRESETS}
     requested = [("method", text) for text in methods]
@@ -64,10 +62,8 @@ def systems_of(
     for kind, text in requested:
         name, *settings = text.split(":")
         names = name.split("+") if kind == "method" else [name]
-        if unknown := [one for one in names if one not in known[kind]]:
-            raise InputError(
-                f"unknown {kind} {unknown[0]!r}; known: {', '.join(known[kind])}"
-            )
+        for one in names:
+            check_choice(one, known[kind], kind)
         fitting = [one for one in assigned if _has_parameter(kind, names[0], one)]
         used |= {*fitting}
         settings = [*fitting, *settings]

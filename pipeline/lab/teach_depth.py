@@ -104,8 +104,7 @@ class Shot(NamedTuple):
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
     """Return segment rotations of diverse postures, without yaw, (N, J, 4).
 
-    Raises:
-        InputError: The folder has no BVH file of these subjects.
+    Raises an InputError if the folder has no BVH file of these subjects.
     """
     files = [
         file
@@ -337,9 +336,7 @@ def teach_depth(
     """Train a forest on CMU's mocap (BVH), write it (.npz), and yield its accuracy.
 
     ``checked`` people determine the constants of joints, and as many are tested on.
-
-    Raises:
-        InputError: The mocap for training or for testing is missing.
+    Raises an InputError if the mocap for training or for testing is missing.
     """
     mocap, other = (
         {s.name: mocap_rotations(folder, s, held_out=held) for s in SKELETONS.values()}

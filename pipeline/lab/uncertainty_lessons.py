@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.pipeline import uncertainty
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
@@ -26,20 +27,11 @@ from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import Mode
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.uncertainty import (
-    HIDDEN,
-    PARTS,
-    SEEN,
-    describe,
-    judged,
-    log_uncertainty,
-)
 from kinefilter.pipeline.workers import workers
 
 from .accuracy import within_uncertainty
 from .hidden_limb_evaluation import join_cases
-from .limb_guesses import HIDDEN as LIMBS
-from .limb_guesses import Guess, hide
+from .limb_guesses import HIDDEN, Guess, hide
 from .limb_lessons import joined, read_lessons, train_prior, with_prior
 from .limb_recordings import Recording
 from .training import teach, training_set
@@ -92,7 +84,8 @@ def lessons(
             draft = cleaner.whole(take, silent)
             away = draft.positions - leveled(mocap, draft.tilt)
             away -= away[:, skeleton.hips].mean(axis=1, keepdims=True)
-            parts.append((*describe(draft), away[:, judged(skeleton)]))
+            away = away[:, uncertainty.judged(skeleton)]
+            parts.append((*uncertainty.describe(draft), away))
     columns = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Rows(pairs[0].subject, *columns)
 
@@ -109,7 +102,7 @@ def _without_a_limb(take: Take, first: int, count: int, clip: str) -> Take:
     room = count - 2 * _SEEN_BEFORE
     length = min(round(_GAPS[gap] * take.fps), room)
     start = first + (_SEEN_BEFORE + (room - length) // 2 if place else count - length)
-    names = (name for name in LIMBS[_HIDDEN[limb]] if name in take.skeleton.joints)
+    names = (name for name in HIDDEN[_HIDDEN[limb]] if name in take.skeleton.joints)
     joints = [take.skeleton.index(name) for name in names]
     guess: Guess = "drift" if number % 2 else "none"
     return hide(take, joints, slice(start, start + length), guess, number)
@@ -119,7 +112,7 @@ def fit(rows: Sequence[Rows]) -> Weights:
     """Return bias and weights of each part's log uncertainty [m], seen and hidden."""
     weights: Weights = {"seen": {}, "hidden": {}}
     for table, missing in (("seen", False), ("hidden", True)):
-        for k, part in enumerate(PARTS):
+        for k, part in enumerate(uncertainty.PARTS):
             # Shoulders and hips are never hidden; they take the next joint's weights.
             at = k + 1 if missing and part in ("Shoulder", "Hip") else k
             both, columns = slice(2 * at, 2 * at + 2), []
@@ -161,8 +154,8 @@ def _scale_of(features: Array, away: Array, shares: Array) -> list[float]:
 
 def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None]:
     """Return ``within_uncertainty`` for seen and for hidden joints."""
-    limits = np.exp(log_uncertainty(weights, rows.seen, rows.gone, rows.hidden))
-    shares = np.abs(rows.away) / limits[..., None]
+    logs = uncertainty.log_uncertainty(weights, rows.seen, rows.gone, rows.hidden)
+    shares = np.abs(rows.away) / np.exp(logs)[..., None]
     return {
         "seen": within_uncertainty(shares[~rows.hidden]),
         "hidden": within_uncertainty(shares[rows.hidden]),
@@ -193,7 +186,7 @@ def main(out: Path, files: Sequence[str]) -> None:
         print(mine.person, within(fit(others), mine))
     weights = fit(rows)
     lines = ["# Written by kinefilter.pipeline.lab.uncertainty_lessons: bias, weights."]
-    for table, names in (("seen", SEEN), ("hidden", HIDDEN)):
+    for table, names in (("seen", uncertainty.SEEN), ("hidden", uncertainty.HIDDEN)):
         lines += ["", f"[{table}] # {', '.join(names)}"]
         lines += [f"{part} = {numbers}" for part, numbers in weights[table].items()]
     out.write_text("\n".join(lines) + "\n", "utf-8", newline="\n")

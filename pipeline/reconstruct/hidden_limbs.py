@@ -15,8 +15,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
-from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .continuity import bridge
@@ -50,9 +49,8 @@ def fill_hidden(
     hidden &= ~hidden.all(axis=0)
     if not hidden.any() or len(time) < 2:
         return positions, hidden
-    seen = bridged_motion(
-        time, np.where(hidden[..., None], np.nan, positions), skeleton
-    )
+    visible = np.where(hidden[..., None], np.nan, positions)
+    seen = bridged_motion(time, visible, skeleton)
     prior = prior or default_prior()
     for gap, limb in _gaps(seen, hidden):
         _fill_limb(seen, gap, limb, prior)

@@ -65,10 +65,8 @@ class Recall:
     """What a take shows of the motion of a hidden limb."""
 
     process: Process | None
-    weight: float
-    """Weight of the process, by its benefit where the limb was seen, in [0, 1]."""
-    momentum: float
-    """Share of its speed that the limb keeps when it is hidden, about 1."""
+    weight: float  # of the process, by its benefit where the limb was seen, in [0, 1]
+    momentum: float  # share of its speed that the limb keeps when it is hidden, about 1
 
     def __call__(self, found: Descriptions) -> Array:
         """Return the directions of hidden segments, shape (W, M, H, 3)."""

@@ -9,8 +9,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import between, rotate, unit
-from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .foothold import planted_height

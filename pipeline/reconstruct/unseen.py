@@ -13,8 +13,7 @@ from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import unit
-from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.heading_frame import find_yaw
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .limbs import in_limbs, limbs
 from .prior import MotionPrior, standing_height

@@ -36,12 +36,9 @@ _PLANTED_TIME = 0.27  # s before and after a gap that show whether a foot is pla
 class Limb:
     """A limb of which some segments are hidden."""
 
-    hidden: tuple[int, ...]
-    """Its hidden segments, from the trunk outwards, without hands and feet."""
-    visible: tuple[int, ...]
-    """Segments of the body that are seen meanwhile."""
-    leg: tuple[int, int, int] | None
-    """Hip, knee and ankle if it is a leg with a hidden ankle."""
+    hidden: tuple[int, ...]  # segments, from the trunk outwards, no hands and feet
+    visible: tuple[int, ...]  # segments of the body that are seen meanwhile
+    leg: tuple[int, int, int] | None  # hip, knee, ankle of a leg whose ankle is hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,26 +46,16 @@ class BridgedMotion:
     """A motion whose gaps are bridged."""
 
     skeleton: Skeleton
-    rate: float
-    """Frame rate [Hz]."""
-    heading: HeadingFrame
-    """Root position and heading in each frame, shape (T,)."""
-    positions: Array
-    """Joint positions [m] in the heading frame, shape (T, J, 3)."""
-    directions: Array
-    """Directions of the segments in the heading frame, shape (T, J, 3)."""
-    known: Flags
-    """True where both ends of a segment were seen, shape (T, J)."""
-    joined: Flags
-    """True for frames that follow the one before without a pause, shape (T,)."""
-    breaks: Flags
-    """True for the first frame of another take, or after a break, shape (T,)."""
-    lengths: Array
-    """Segment lengths [m], NaN for those never seen, shape (J,)."""
-    floor: float
-    """Height of a planted ankle [m]."""
-    standing: float
-    """Height of the root of the person when standing [m]."""
+    rate: float  # frame rate [Hz]
+    heading: HeadingFrame  # root position and heading in each frame, shape (T,)
+    positions: Array  # joint positions [m] in the heading frame, shape (T, J, 3)
+    directions: Array  # of the segments, in the heading frame, shape (T, J, 3)
+    known: Flags  # True where both ends of a segment were seen, shape (T, J)
+    joined: Flags  # True for frames that follow the one before without a pause, (T,)
+    breaks: Flags  # True for the first frame of another take, or after a break, (T,)
+    lengths: Array  # of the segments [m], NaN for those never seen, shape (J,)
+    floor: float  # height of a planted ankle [m]
+    standing: float  # height of the root of the person when standing [m]
 
     def backward(self) -> BridgedMotion:
         """Return a view of the motion in which time runs backward."""
@@ -95,14 +82,10 @@ class Stretches:
 
     seen: BridgedMotion
     limb: Limb
-    starts: Indices
-    """First hidden frame of each stretch, shape (W,)."""
-    length: int
-    """Number of hidden frames in each stretch."""
-    at: Indices
-    """The frames to describe, counted from the start of the stretch, shape (W, M)."""
-    ahead: bool
-    """True if the motion after the stretch is known."""
+    starts: Indices  # first hidden frame of each stretch, shape (W,)
+    length: int  # number of hidden frames in each stretch
+    at: Indices  # frames to describe, counted from the stretch's start, shape (W, M)
+    ahead: bool  # True if the motion after the stretch is known
 
     @cached_property
     def frames(self) -> Indices:
@@ -290,9 +273,8 @@ def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array
         ends.append(after + np.arange(far))
     planted = [planted_likelihood(world(e), seen.rate, seen.floor) for e in ends]
     seen_after = world(after) if hidden.ahead else None
-    place, firm = held_ankle(
-        world(last), seen_after, [p[:, None] for p in planted], hidden.time
-    )
+    likely = [p[:, None] for p in planted]
+    place, firm = held_ankle(world(last), seen_after, likely, hidden.time)
     place = seen.heading.at(frames).remove(place[..., None, :])[..., 0, :]
     thigh, shin = seen.lengths[knee], seen.lengths[ankle]
     hips, knees = seen.positions[frames, hip], seen.positions[frames, knee]

@@ -36,10 +36,8 @@ class _Aim(Stage):
 
     local = True
     in_parts = False  # rotations keep their sign across gaps
-    cutoffs: ClassVar[tuple[float, ...]]
-    """Cutoff [Hz] of each of the filters."""
-    chains: ClassVar[type[Neck | Palms]]
-    """The chains to aim."""
+    cutoffs: ClassVar[tuple[float, ...]]  # of each of the filters [Hz]
+    chains: ClassVar[type[Neck | Palms]]  # what to aim
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
@@ -73,9 +71,8 @@ class _Aim(Stage):
             moved = [start, *draft.skeleton.descendants(start)]
             here, there = draft.positions[..., moved, :], before[..., moved, :]
             draft.positions[..., moved, :] = here + share[..., None] * (there - here)
-            draft.rotations[..., moved, :] = slerp(
-                draft.rotations[..., moved, :], turns[..., moved, :], share
-            )
+            both = draft.rotations[..., moved, :], turns[..., moved, :]
+            draft.rotations[..., moved, :] = slerp(*both, share)
 
     @staticmethod
     @abstractmethod
@@ -131,8 +128,7 @@ def _weights(draft: Draft) -> Array:
 class _Mean:
     """A running mean of values by their weights, frame by frame."""
 
-    elapsed: float
-    """Time since the last frame [s], to be set before each."""
+    elapsed: float  # since the last frame [s], to be set before each
 
     def __init__(self, cutoff: float) -> None:
         self._rate = 2.0 * np.pi * cutoff  # 1/s

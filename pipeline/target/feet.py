@@ -204,9 +204,7 @@ def _handed_over(
         inside = gap.start > 0 and gap.stop < len(time)
         if inside and acceleration[gap].min() > _FREE_FALL:
             feet = np.flatnonzero(stands[gap.start - 1] & stands[gap.stop, ::-1])
-            options = [
-                _hand_over(time, paths, longer, gap, foot) for foot in feet.tolist()
-            ]
+            options = [_hand_over(time, paths, longer, gap, k) for k in feet.tolist()]
             if options:
                 longer[gap] = min(options, key=lambda option: option[0])[1]
     return longer
@@ -345,9 +343,8 @@ def _joined(
         leave = moves[last if before is None else first - 1]
         step = path[gap] + leave
         if before is not None and after is not None:
-            share = smooth_step(
-                (over - time[first - 1]) / (time[last] - time[first - 1])
-            )
+            duration = time[last] - time[first - 1]
+            share = smooth_step((over - time[first - 1]) / duration)
             step = step + share * (moves[last] - leave)
         if before is not None:
             free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)

@@ -41,9 +41,8 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
         away = np.array(list(places.values())) - positions[frames, j]
         curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
         moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)
-        limb = next(
-            (x for x in limbs(skeleton) if j in skeleton.descendants(x[1])), None
-        )
+        ends = (x for x in limbs(skeleton) if j in skeleton.descendants(x[1]))
+        limb = next(ends, None)
         first = j if limb is None else limb[2]
         for k in (first, *skeleton.descendants(first)):
             stays = stands[:, k, None] & (limb is None)

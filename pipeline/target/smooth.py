@@ -37,12 +37,10 @@ _LONGEST_GAP = 30  # missing frames with which a gap is bridged; a longer one sh
 def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Array:
     """Return smoothed values.
 
-    Args:
-        time: Time stamps [s], strictly increasing, shape (T,).
-        values: Values to smooth, shape (T, J, C).
-        weights: Confidence in each value, in (0, 1], shape (T, J).
-        cutoff: Frequency [Hz] at which half of the amplitude is left at confidence 1;
-            confidence w moves it by a factor of w^(1/6).
+    Time stamps [s], shape (T,), increase strictly. Values have shape (T, J, C),
+    weights, the confidence in each value in (0, 1], shape (T, J). ``cutoff`` is the
+    frequency [Hz] at which half of the amplitude is left at confidence 1; confidence w
+    moves it by a factor of w^(1/6).
     """
     if len(time) <= _ORDER or cutoff >= 0.5 / np.median(np.diff(time)):
         return values.copy()

@@ -22,15 +22,7 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, Stage
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
-from . import feet
-from .floor import (
-    clearances,
-    floor_height,
-    floor_penetration,
-    leveled,
-    put_on_floor,
-    sensor_tilt,
-)
+from . import feet, floor
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn
 
@@ -92,9 +84,9 @@ class Upright(Stage):
 
     def _apply(self, draft: Draft) -> None:
         turn = draft.turn = self._turn
-        draft.measured = leveled(draft.measured, turn.tilt, turn.roll)
+        draft.measured = floor.leveled(draft.measured, turn.tilt, turn.roll)
         if draft.face is not None:
-            draft.face = leveled(draft.face, turn.tilt, turn.roll)
+            draft.face = floor.leveled(draft.face, turn.tilt, turn.roll)
 
 
 class Level(Stage):
@@ -109,7 +101,7 @@ class Level(Stage):
     def step(self, draft: Draft) -> None:
         """Level the next frame if the tilt was given."""
         draft.tilt = self._tilt or 0.0
-        draft.positions = leveled(draft.positions, draft.tilt)
+        draft.positions = floor.leveled(draft.positions, draft.tilt)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Find the planted feet and from them the tilt, and level the take."""
@@ -118,11 +110,11 @@ class Level(Stage):
         draft.stands = np.concatenate(stances)
         known = draft.unedited.planted.tilt if draft.unedited else self._tilt
         if known is None:
-            known = sensor_tilt(*_feet(draft), by_kinect=draft.by_kinect)
+            known = floor.sensor_tilt(*_feet(draft), by_kinect=draft.by_kinect)
         draft.tilt = known
-        draft.positions = leveled(draft.positions, draft.tilt)
+        draft.positions = floor.leveled(draft.positions, draft.tilt)
         if draft.face is not None:
-            draft.face = leveled(draft.face, draft.tilt)
+            draft.face = floor.leveled(draft.face, draft.tilt)
 
 
 class Smooth(Stage):
@@ -197,7 +189,7 @@ class Floor(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Find the floor under the feet of a take, unless its height was given."""
         known = draft.unedited.planted.floor if draft.unedited else self._given
-        draft.floor = floor_height(*_feet(draft)) if known is None else known
+        draft.floor = floor.floor_height(*_feet(draft)) if known is None else known
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
 
@@ -285,7 +277,7 @@ class Bones(Stage):
             moved = self._moved + share * (moved - self._moved)
         self._moved = moved
         there = self._bones.project(positions + moved, weights)
-        draft.positions = put_on_floor(there, draft.body)[0]
+        draft.positions = floor.put_on_floor(there, draft.body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Restore the lengths of a take without making it less smooth.
@@ -294,7 +286,7 @@ class Bones(Stage):
         They are smoothed, and then the lengths, now nearly right, are restored again.
         """
         body, weights = draft.body, draft.bone_weights
-        positions, bones = put_on_floor(draft.positions, body), BoneLengths(body)
+        positions, bones = floor.put_on_floor(draft.positions, body), BoneLengths(body)
         moved = bones.project(positions, weights) - positions
         # A foot that stands is not drawn along by the step before or after.
         firm = np.maximum(weights, 1.0)
@@ -302,7 +294,7 @@ class Bones(Stage):
         there = positions + moved
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
-            there = put_on_floor(bones.project(there, weights), body)
+            there = floor.put_on_floor(bones.project(there, weights), body)
         draft.positions = there
 
 
@@ -338,7 +330,7 @@ def posed(draft: Draft) -> Array:
     for k in chunks(len(roots), CHUNK):
         joints[k] = positions_from_rotations(draft.rotations[k], roots[k], body)
     heights = joints[..., 1]
-    heights += floor_penetration(heights, clearances(body))[:, None]
+    heights += floor.floor_penetration(heights, floor.clearances(body))[:, None]
     return joints
 
 

@@ -248,9 +248,8 @@ def _dodge(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             pose = pose.leaning(spine=-0.3)
         else:
             pose = pose.leaning(side=0.14 * sign * puppet.scale)
-            pose = pose.leaning(
-                pelvis=(0.0, 0.0, 0.12 * sign), spine=(0.9 * low, lean * sign, 0.0)
-            )
+            pose = pose.leaning(pelvis=(0.0, 0.0, 0.12 * sign))
+            pose = pose.leaning(spine=(0.9 * low, lean * sign, 0.0))
         score.to(u(0.28, 0.5), pose).hold(u(0.05, 0.2))
         score.to(u(0.4, 0.7), base).hold(u(0.05, 0.5))
     return score

@@ -78,14 +78,11 @@ def launch_speed(
     """Return the upward speed [m/s] that takes a ball from one height to another.
 
     Of all such speeds, with any number of bounces, this is the one closest to the wish.
-    A throw without a bounce is always possible. Arguments broadcast.
+    A throw without a bounce is always possible.
 
-    Args:
-        start: Height at the start [m].
-        end: Height at the end [m].
-        duration: Time between them [s], positive.
-        wish: Upward speed of the hand at the release [m/s].
-        bouncing: Require at least one bounce; NaN where that is impossible.
+    Heights at the start and the end [m], the time between them [s], positive, and the
+    ``wish``, the upward speed of the hand at the release [m/s], broadcast. ``bouncing``
+    requires at least one bounce; the speed is NaN where that is impossible.
     """
     start, end, duration, wish = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (start, end, duration, wish))
@@ -285,10 +282,8 @@ def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
     A ball that no hand touches stays in place. A ball that is released and not caught
     bounces until it comes to rest.
 
-    Args:
-        hands: The hands.
-        radius: Radius of the ball [m].
-        rest: Center of the untouched ball [m], shape (3,).
+    ``radius`` [m] is that of the ball, ``rest`` its center where it is untouched [m],
+    shape (3,).
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     touches = contacts(hands, radius)

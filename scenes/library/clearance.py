@@ -50,15 +50,12 @@ def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
 def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
     """Return the vector [m] that frees an arm from its deepest overlap, (T, 3)."""
     body, index = puppet.body, puppet.body.skeleton.index
-    elbow, wrist, hand = (
-        positions[:, index(part + SIDES[side])] for part in ("Elbow", "Wrist", "Hand")
-    )
+    ends = [index(part + SIDES[side]) for part in ("Elbow", *_FOREARM)]
+    elbow, wrist, hand = (positions[:, end] for end in ends)
     shares = _SHARES[:, None, None]
-    points = np.concatenate(
-        [elbow + shares * (wrist - elbow), wrist + shares * (hand - wrist)]
-    )
-    ends = [index(part + SIDES[side]) for part in _FOREARM]
-    radii = np.repeat(body.radii[ends], len(_SHARES))[:, None]
+    parts = elbow + shares * (wrist - elbow), wrist + shares * (hand - wrist)
+    points = np.concatenate(parts)
+    radii = np.repeat(body.radii[ends[1:]], len(_SHARES))[:, None]
     frames = np.arange(len(positions))
     deepest = (radii - points[..., 1]).max(axis=0).clip(min=0.0)
     out = deepest[:, None] * _UP

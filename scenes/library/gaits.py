@@ -28,10 +28,8 @@ _LONGEST_LOOP = 1.3  # largest ratio of a loop's axes: longer loops have sharp e
 class Area(NamedTuple):
     """A rectangle on the floor, world frame [m]."""
 
-    left: tuple[float, float]
-    """Smallest and largest x."""
-    forward: tuple[float, float]
-    """Smallest and largest z."""
+    left: tuple[float, float]  # smallest and largest x
+    forward: tuple[float, float]  # smallest and largest z
 
 
 class _Gait(NamedTuple):
@@ -99,7 +97,8 @@ def gait(
         strides = number - 0.5 * side + lead + _ease(swing)
         ankle[:, side, 2] = style.stride * size * strides
         ankle[:, side, 0] = (1.0 - 2.0 * side) * half
-        ankle[:, side, 1] = puppet.ankle_height + style.lift * size * _arc(swing)
+        arc = np.sin(np.pi * swing**0.8) ** 2  # highest before mid-swing
+        ankle[:, side, 1] = puppet.ankle_height + style.lift * size * arc
         foot[:, side, 0] = base.foot[side, 0]
         foot[:, side, 1] = _heel(phase, style)
     turn = 2.0 * np.pi * cycle
@@ -194,11 +193,6 @@ def _ease(s: Array) -> Array:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def _arc(s: Array) -> Array:
-    """Bump over (0, 1) with its peak before the middle, at rest at both ends."""
-    return np.sin(np.pi * s**0.8) ** 2
-
-
 def _heel(phase: Array, style: _Gait) -> Array:
     """Heel rise [rad] from mid-stance to mid-swing; toes up (negative) at landing."""
     start, off = 0.6 * style.stance, style.stance
@@ -235,9 +229,7 @@ def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
     if rng.random() < 0.3:
         return pose.with_arm(int(rng.integers(2)), puppet.arm(0.2, 0.1, 0.2, 0.1))
     goal = (rng.uniform(0.12, 0.2), rng.uniform(-0.42, -0.12), rng.uniform(0.25, 0.36))
-    flare = rng.uniform(0.1, 0.6)
-    for side in (LEFT, RIGHT):
-        pose = puppet.put_hand(pose, side, goal, (flare, -1.0, -0.3))
+    pose = puppet.reach_both(pose, goal, (rng.uniform(0.1, 0.6), -1.0, -0.3))
     return replace(pose, spine=pose.spine * np.array([1.0, 1.0, 0.3]) - [0.05, 0, 0])
 
 

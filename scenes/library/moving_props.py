@@ -36,11 +36,9 @@ def box_path(hands: Hands, size: Array, rest: Array, support: Support) -> Array:
     Until it is first lifted, the box lies below the place of the lift; if that is in
     the air, the hands hold it from the start. A box released in the air falls.
 
-    Args:
-        hands: The hands.
-        size: Half extents of the box [m], y between the hands, shape (3,).
-        rest: Pose of the untouched box, shape (7,).
-        support: Function that returns the height [m] of the surface below a point.
+    ``size`` are the half extents of the box [m], y between the hands, shape (3,),
+    ``rest`` is its pose where it is untouched, shape (7,), and ``support`` returns the
+    height [m] of the surface below a point.
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     for number, (lift, drop) in enumerate(_carries(hands, size)):
@@ -136,9 +134,7 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
     every other prop stays in place. The props follow the hands and do not affect the
     performer.
 
-    Args:
-        scene: The scene; a character in it is ignored.
-        motion: The performance.
+    A character in the scene is ignored.
     """
     model = scene.copy().compile()
     hands = Hands.of(motion)

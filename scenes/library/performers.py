@@ -109,17 +109,11 @@ def perform(
     The last movement is always complete. The character starts near the origin of the
     world, facing +z, or with ``within`` at the start of its loop.
 
-    Args:
-        name: One of MOTIONS, or of TASKS, which fit one scene.
-        body: The performer's body, on any skeleton kinefilter knows.
-        seed: Determines style, tempo and sides; the same seed gives the same arrays.
-        fps: Frames per second.
-        within: Area in which the root stays in gaits (carry, march, run, walk), which
-            then go around it with shorter steps; by default they go straight ahead.
-            Other motions ignore it.
-
-    Raises:
-        InputError: There is no motion with that name.
+    ``name`` is one of MOTIONS, or of TASKS, which fit one scene; InputError for others.
+    The seed determines style, tempo and sides; the same seed gives the same arrays.
+    ``within`` is the area in which the root stays in gaits (carry, march, run, walk),
+    which then go around it with shorter steps; by default they go straight ahead. Other
+    motions ignore it.
     """
     check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
@@ -152,10 +146,8 @@ def _varied(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
     ankle = base.ankle.copy()
     ankle[:, 2] += np.array([0.5, -0.5]) * sign * step
     drop = puppet.leg - np.sqrt(puppet.leg**2 - (step / 2.0) ** 2)
-    return replace(base, ankle=ankle).leaning(
-        drop=float(drop) + u(0.0, 0.06) * puppet.leg,
-        pelvis=(-0.3 * sign * step, 0.0, 0.0),
-    )
+    drop, yaw = float(drop) + u(0.0, 0.06) * puppet.leg, -0.3 * sign * step
+    return replace(base, ankle=ankle).leaning(drop=drop, pelvis=(yaw, 0.0, 0.0))
 
 
 def perform_medley(
@@ -163,15 +155,9 @@ def perform_medley(
 ) -> Motion:
     """Return several motions on the spot, one after another, at 30 frames per second.
 
-    Unlike in ``perform``, arms may pass through the body.
-
-    Args:
-        parts: Names of motions on the spot, and the minimum duration of each [s].
-        body: The performer's body, on any skeleton kinefilter knows.
-        seed: Determines style, tempo and sides; the same seed gives the same arrays.
-
-    Raises:
-        InputError: A name is not that of a motion on the spot, or there are no parts.
+    ``parts`` are their names and the minimum duration of each [s]; see ``perform`` for
+    the body and the seed. Unlike there, arms may pass through the body. Raises an
+    InputError if a motion does not stay on the spot, or without parts.
     """
     if not parts:
         raise InputError("a medley needs at least one motion")
@@ -195,13 +181,8 @@ def perform_medley(
 
 def _motion(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
     rotations, positions = puppet.solve(pose)
-    return Motion(
-        time=time,
-        body=puppet.body,
-        root=positions[:, puppet.body.skeleton.root],
-        rotations=continuous(rotations),
-        source=name,
-    )
+    root, turns = positions[:, puppet.body.skeleton.root], continuous(rotations)
+    return Motion(time=time, body=puppet.body, root=root, rotations=turns, source=name)
 
 
 def _swaying(pose: Pose, time: Array, rng: Rng) -> Pose:

@@ -85,8 +85,8 @@ class Pose:
         *,
         ankle: Array | None = None,
         yaw: float | None = None,
-        heel: float | None = None,
-        knee_out: float | None = None,
+        heel: float | Array | None = None,
+        knee_out: float | Array | None = None,
     ) -> Pose:
         """Return the pose with a foot, or with BOTH, planted as given [m, rad]."""
         ankles, foot, out = self.ankle.copy(), self.foot.copy(), self.knee_out.copy()
@@ -112,8 +112,7 @@ class Score:
     """Key poses in time, joined by smooth movements."""
 
     def __init__(self, pose: Pose) -> None:
-        self.duration = 0.0
-        """Time of the last key pose [s]."""
+        self.duration = 0.0  # time of the last key pose [s]
         self._times = [0.0]
         self._poses = [pose]
 
@@ -143,9 +142,8 @@ class Score:
             if field.name == "arm":
                 keys = continuous(keys)
             path = PchipInterpolator(self._times, keys)(time)
-            channels[field.name] = gaussian_filter1d(
-                path, width, axis=0, mode="nearest"
-            )
+            soft = gaussian_filter1d(path, width, axis=0, mode="nearest")
+            channels[field.name] = soft
         arm = channels["arm"]
         channels["arm"] = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
         return time, Pose(**channels)
@@ -175,12 +173,10 @@ def within_ranges(pose: Pose) -> Pose:
 
     Elbows and knees cannot leave theirs; shoulders and hips stay as scripted.
     """
+    angles = ("flexion", "bend", "rotation")
     trunk, neck = (
-        np.radians(
-            [JOINT_RANGES[f"{part} {a}"] for a in ("flexion", "bend", "rotation")]
-        )
+        np.radians([JOINT_RANGES[f"{part} {angle}"] for angle in angles])
         for part in ("trunk", "neck")
     )
-    return replace(
-        pose, spine=np.clip(pose.spine, *trunk.T), head=np.clip(pose.head, *neck.T)
-    )
+    spine, head = np.clip(pose.spine, *trunk.T), np.clip(pose.head, *neck.T)
+    return replace(pose, spine=spine, head=head)

@@ -31,8 +31,7 @@ def _crouch(puppet: Puppet, pose: Pose, knees: float, bend: float) -> Pose:
 def _lift_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Lift a box from the floor, hold it, turn or shelve it, and set it down."""
     score, u = Score(base).hold(0.2), rng.uniform
-    for side in (LEFT, RIGHT):
-        base = base.with_foot(side, knee_out=u(0.05, 0.3))
+    base = base.with_foot(BOTH, knee_out=u(0.05, 0.3, 2))
     while score.duration < length:
         half, grip = u(0.12, 0.26) * puppet.scale, u(0.16, 0.45) * puppet.scale
         share = u(0.0, 1.0)  # 0: from the back, 1: from the knees
@@ -57,8 +56,7 @@ def _lift_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     """Lift a box from the floor, step to a low table on the right, and put it there."""
     score, u = Score(base).hold(0.2), rng.uniform
-    for side in (LEFT, RIGHT):
-        base = base.with_foot(side, knee_out=u(0.05, 0.3))
+    base = base.with_foot(BOTH, knee_out=u(0.05, 0.3, 2))
     half, grip = u(0.14, 0.24) * puppet.scale, u(0.16, 0.35) * puppet.scale
     low = _crouch(puppet, base, u(0.15, 0.35), u(0.8, 1.2))
     ahead = float(low.ankle[:, 2].mean()) + u(0.34, 0.42) * puppet.scale
@@ -155,8 +153,7 @@ def _shoot(puppet: Puppet, score: Score, rng: Rng, base: Pose, side: int) -> Non
     brow = puppet.put_hand(brow, side, (0.06, 0.22, 0.26), (0.5, -1.0, 0.5))
     brow = puppet.put_hand(brow, 1 - side, (0.1, 0.2, 0.24), (0.8, -1.0, 0.4))
     out = base.leaning(drop=-0.2, spine=-0.08, head=-0.25)
-    for foot in (LEFT, RIGHT):
-        out = out.with_foot(foot, heel=rng.uniform(0.4, 0.7))
+    out = out.with_foot(BOTH, heel=rng.uniform(0.4, 0.7, 2))
     out = puppet.put_hand(out, side, (0.12, 0.52, 0.4), (0.6, -0.6, 0.3))
     out = puppet.put_hand(out, 1 - side, (0.14, 0.42, 0.3), (0.9, -0.6, 0.3))
     score.to(0.6, dip).to(0.45, brow).to(0.3, out).hold(rng.uniform(0.1, 0.4))

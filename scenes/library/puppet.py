@@ -47,12 +47,9 @@ _POINTED_TOES = np.radians(25.0)  # of a hanging foot
 _CLEARANCE = 0.03  # m of a lifted ankle above its height when the foot is flat
 _HANGS_FROM = 0.15  # m of ankle rise above which a lifted foot hangs fully
 _TRUNK = {
-    "HipCenter": "pelvis",
-    "SpineBase": "pelvis",
-    "Spine": "lower",
-    "SpineMid": "lower",
-    "ShoulderCenter": "thorax",
-    "SpineShoulder": "thorax",
+    **dict.fromkeys(("HipCenter", "SpineBase"), "pelvis"),
+    **dict.fromkeys(("Spine", "SpineMid"), "lower"),
+    **dict.fromkeys(("ShoulderCenter", "SpineShoulder"), "thorax"),
 }
 
 
@@ -79,12 +76,9 @@ class Puppet:
         self._collar, self._upper, self._fore, self._hand = body.lengths[arm]
         _, self._thigh, self._shank, _ = body.lengths[leg]
         self._hips, _, _, self._sole = body.rest_offsets[leg]
-        self.ankle_height = float(rest[leg[2], 1].mean())
-        """Height [m] of the ankle when the foot is flat."""
-        self.hip_width = float(np.ptp(rest[leg[0], 0]))
-        """Distance [m] between the hip joints."""
-        self.leg = float((self._thigh + self._shank).mean())
-        """Length [m] of the straight leg, hip to ankle."""
+        self.ankle_height = float(rest[leg[2], 1].mean())  # where the foot is flat [m]
+        self.hip_width = float(np.ptp(rest[leg[0], 0]))  # between the hip joints [m]
+        self.leg = float((self._thigh + self._shank).mean())  # hip to ankle [m]
         girdle = body.skeleton.girdle
         self._upper_spine = body.rest_offsets[girdle]
         self._lower_spine = body.rest_offsets[body.skeleton.parents[girdle]]
@@ -113,11 +107,9 @@ class Puppet:
     ) -> tuple[Array, Array]:
         """Return (upper arm, elbow) that bring the hand joint to a goal.
 
-        Args:
-            side: LEFT or RIGHT.
-            goal: Outward, up and forward of the joint between the shoulders, thorax
-                frame [m] on the standard body, (..., 3). Outward is to the arm's side.
-            elbow_to: Direction in which the elbow points, same axes, (..., 3).
+        The goal is outward (to the side of the arm), up and forward of the joint
+        between the shoulders, thorax frame [m] on the standard body, shape (..., 3);
+        the elbow points in the direction ``elbow_to``, same axes, shape (..., 3).
         """
         goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
         upper, lower = self._upper[side], self.forearm(side)
@@ -236,9 +228,8 @@ class Puppet:
         lift, forward = _collarbone_angles(rotate(upper, _X))
         collar = multiply(about_y(-forward), about_z(lift))
         fore = multiply(upper, about_y(-pose.elbow[..., side]))
-        wrist = multiply(
-            about_x(-pose.hand[..., side, 0]), about_z(-pose.hand[..., side, 1])
-        )
+        turns = pose.hand[..., side, :]
+        wrist = multiply(about_x(-turns[..., 0]), about_z(-turns[..., 1]))
         hand = multiply(fore, wrist)
         local = {"Shoulder": collar, "Elbow": upper, "Wrist": fore, "Hand": hand}
         local |= {"HandTip": hand, "Thumb": hand}

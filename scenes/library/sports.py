@@ -191,8 +191,7 @@ def _dance(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
             back = u(0.1, 0.4) * depth * puppet.leg
             pose = pose.leaning(drop=depth * puppet.leg, back=back)
             pose = pose.leaning(pelvis=u(0.0, 0.8) * depth)
-            for foot in (LEFT, RIGHT):
-                pose = pose.with_foot(foot, knee_out=u(0.1, 0.9))
+            pose = pose.with_foot(BOTH, knee_out=u(0.1, 0.9, 2))
         elif kind == "rise":
             pose = pose.leaning(drop=-0.2).with_foot(BOTH, heel=u(0.4, 0.8))
         elif kind == "step":

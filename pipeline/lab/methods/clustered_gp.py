@@ -146,8 +146,7 @@ class ClusteredGP(Learner):
 
         They are a mean over the examples, weighted by similarity of proportions.
 
-        Args:
-            seen: The person's own segment lengths [m], as Kinect measures them, (J,).
+        ``seen`` are the person's own [m], as Kinect measures them, shape (J,).
         """
         if seen is None or self.lengths == "own":
             return self._walk.lengths

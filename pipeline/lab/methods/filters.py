@@ -34,9 +34,8 @@ def bridge_gaps(time: Array, positions: Array) -> Array:
     Before its first and after its last measurement a joint is held constant; a joint
     that was never seen stays NaN.
 
-    Args:
-        time: Time stamps [s], strictly increasing, shape (T,).
-        positions: Joint positions [m], NaN where missing, shape (T, J, 3).
+    Time stamps [s] increase strictly, shape (T,); positions [m] are NaN where missing,
+    shape (T, J, 3).
     """
     columns = positions.reshape(len(positions), -1)
     bridged = interpolate_gaps(time, columns).reshape(positions.shape)
@@ -130,18 +129,12 @@ class ConstantVelocity:
     The coordinates of a point are independent and share a covariance, so the state is
     two vectors and the covariance is 2 x 2. Measured positions [m] have shape (J, 3),
     the variance [m^2] of their coordinates (J,).
-
-    Args:
-        count: J.
     """
 
     def __init__(self, count: int) -> None:
-        self.position = np.zeros((count, 3))
-        """Estimated positions [m], shape (J, 3)."""
-        self.velocity = np.zeros((count, 3))
-        """Estimated velocities [m/s], shape (J, 3)."""
-        self.covariance = np.zeros((count, 2, 2))
-        """Covariance of a coordinate's position and velocity, shape (J, 2, 2)."""
+        self.position = np.zeros((count, 3))  # estimated [m]
+        self.velocity = np.zeros((count, 3))  # estimated [m/s]
+        self.covariance = np.zeros((count, 2, 2))  # of a coordinate's two estimates
 
     def begin(self, which: Flags, positions: Array, variance: Array) -> None:
         """Reset points to their measured positions, with unknown velocity."""

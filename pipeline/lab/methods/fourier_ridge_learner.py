@@ -53,11 +53,8 @@ class Person:
 def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
     """Yield all recorded people, each followed by their mirror image.
 
-    Args:
-        training: The frames of all people.
-        weight: Total weight of a person's frames: the variance of the noise in a frame
-            is the number of frames over this.
-        most: Maximum number of frames per person.
+    ``weight`` is the total weight of a person's frames: the variance of the noise in a
+    frame is the number of frames over this. At most ``most`` frames of each are used.
     """
     features = PostureFeatures(training.skeleton)
     clip = np.cumsum(training.first) - 1
@@ -122,11 +119,8 @@ def ridge_weights(
 ) -> Array:
     """Return the weights that all people share, with random effects marginalized.
 
-    Args:
-        random: The random features.
-        recorded: Recorded people, whose mean offset has been subtracted.
-        simulated: Simulated people, likewise.
-        steps: Advanced once per person, for a progress bar.
+    The mean offset of all people has been subtracted. ``steps`` is advanced once per
+    person, for a progress bar.
     """
     size = random.size + 1
     information = np.zeros((size, size), dtype=np.float32, order="F")
@@ -224,14 +218,11 @@ class FourierRidgeLearner(FourierRidge, Learner):
     ) -> Self:
         """Train on pairs.
 
-        Args:
-            training: People recorded with markers.
-            simulated: Simulated people in addition.
-            views: People recorded by a second sensor as well, of any skeleton; it gives
-                the ground truth of the limbs on the far side of their bodies, and of
-                their heading.
-            people: Also learn each person's own effects in ``training``.
-            progress: Wraps the steps, for a progress bar.
+        ``training`` are people recorded with markers, ``simulated`` others in addition.
+        ``views`` are people recorded by a second sensor as well, of any skeleton; it
+        gives the ground truth of the limbs on the far side of their bodies and of their
+        heading. With ``people``, each person's own effects in ``training`` are learned,
+        too.
         """
         if training.skeleton != self.skeleton or training.person is None:
             raise InputError(

@@ -16,16 +16,7 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.pipeline.progress import Progress, silent
 
-from .gaussian_process import (
-    Kernel,
-    divergence_of,
-    divergences,
-    fit_kernel,
-    grow_factor,
-    grow_inverse,
-    shrink_factor,
-    shrink_inverse,
-)
+from . import gaussian_process as gp
 
 Votes = Literal["similarity", "precision"]
 
@@ -37,9 +28,8 @@ _SCATTER = 0.03  # m, deviation of the offsets from the trend (a guess)
 class JointFeatures:
     """Positions of a joint and of those that share a bone with it (Liu, section 4.1).
 
-    Args:
-        learned: Joints that have offsets, shape (M,).
-        seen: Joints that the sensor measures; the others are left out, shape (J,).
+    ``learned`` are the joints that have offsets, shape (M,). Joints that the sensor
+    does not measure, by ``seen`` (J,), are left out.
     """
 
     def __init__(self, skeleton: Skeleton, learned: Indices, seen: Flags) -> None:
@@ -64,13 +54,9 @@ def fit_kernels(
 ) -> Array:
     """Return every joint's kernel of greatest likelihood (eq. 6), (M, 3 + F).
 
-    Samples must be in random order, since only the first ones are used.
-
-    Args:
-        features: Zero-padded features [m], shape (N, M, F).
-        offsets: Offsets [m], shape (N, M, 3).
-        sizes: Number of features of each joint.
-        progress: Wraps the loop over the joints, for a progress bar.
+    Samples must be in random order, since only the first ones are used. Features [m]
+    are zero-padded, shape (N, M, F); ``sizes`` are their numbers for each joint.
+    Offsets [m] have shape (N, M, 3).
     """
     table = np.zeros((len(sizes), 3 + features.shape[2]))
     for m in progress("hyper-parameters", len(sizes)):
@@ -78,8 +64,8 @@ def fit_kernels(
         power = max(float(np.mean(y * y)), 1e-6)
         spread = max(float(np.sqrt(x.var(axis=0).sum())), 1e-2)
         scales = np.full((1, sizes[m]), 1.0 / spread)
-        start = Kernel(np.array([power]), scales, power, power / 10.0)
-        kernel = fit_kernel(start, x, y)
+        start = gp.Kernel(np.array([power]), scales, power, power / 10.0)
+        kernel = gp.fit_kernel(start, x, y)
         table[m, :3] = kernel.variances[0], kernel.bias, kernel.noise
         table[m, 3 : 3 + sizes[m]] = kernel.scales[0]
     return table
@@ -101,10 +87,12 @@ class JointKernels:
         self.theta0, self.theta1, self.noise = table[:, 0], table[:, 1], table[:, 2]
         self.roots = table[:, 3:]
 
-    def of_joint(self, m: int) -> Kernel:
+    def of_joint(self, m: int) -> gp.Kernel:
         """Return the kernel of one joint, for features multiplied by ``roots``."""
         theta0, theta1, noise = (x[m] for x in (self.theta0, self.theta1, self.noise))
-        return Kernel(np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise))
+        return gp.Kernel(
+            np.array([theta0]), np.ones((1, 1)), float(theta1), float(noise)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +190,8 @@ class LocalModels:
     ) -> tuple[Array, Array]:
         """Return the mixture's mean [m] and variance [m^2], noise included, (M, 3).
 
-        Args:
-            x: Features multiplied by the square roots of W, shape (M, F).
-            blended: Number of nearest models that are blended.
-            votes: Weights by which they are blended; see ``LocalGP``.
+        ``x`` are features multiplied by the square roots of W, shape (M, F). See
+        ``LocalGP`` for the number of ``blended`` models and for their ``votes``.
         """
         joints, models = self.centers.shape[:2]
         blended = min(blended, models)
@@ -242,12 +228,10 @@ class LocalModels:
         A sample that the others predict is left out (posture budgeting, section 3.2).
         If the model is full, the sample that the others predict best is dropped.
 
-        Args:
-            m: The joint.
-            x: Features multiplied by the square roots of W, shape (F,).
-            offset: The sample's offset [m], shape (3,).
-            reach: Distance from all centers, in units of the kernel, beyond which the
-                similarity of eq. 10 is too small and a new model begins.
+        The sample of joint ``m`` has an offset [m], shape (3,), at features ``x``,
+        which are multiplied by the square roots of W, shape (F,). Farther than
+        ``reach`` from all centers, in units of the kernel, the similarity of eq. 10 is
+        too small and a new model begins.
         """
         kernel = self._kernels[m]
         distances = np.linalg.norm(self.centers[m] - x, axis=1)
@@ -262,21 +246,21 @@ class LocalModels:
         solved = self._inverse[m, q, :n, :n] @ covariance
         alone = kernel.prior + kernel.noise - float(solved @ covariance)
         apart = (offset - covariance @ self._alpha[m, q, :n]) / alone
-        gain = divergence_of(np.array([alone]), apart[None], kernel.noise)
+        gain = gp.divergence_of(np.array([alone]), apart[None], kernel.noise)
         if n and gain[0] < self._redundancy:
             return
         variance = kernel.prior + kernel.noise
-        factor = grow_factor(self.factors[m, q, :n, :n], covariance, variance)
-        inverse = grow_inverse(self._inverse[m, q, :n, :n], factor)
+        factor = gp.grow_factor(self.factors[m, q, :n, :n], covariance, variance)
+        inverse = gp.grow_inverse(self._inverse[m, q, :n, :n], factor)
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
         if n == most:
-            least = int(divergences(inverse, offsets, kernel.noise).argmin())
+            least = int(gp.divergences(inverse, offsets, kernel.noise).argmin())
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
-            inverse = shrink_inverse(inverse, least)
-            factor = shrink_factor(factor, least)
+            inverse = gp.shrink_inverse(inverse, least)
+            factor = gp.shrink_factor(factor, least)
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n

@@ -22,29 +22,19 @@ _LEAST_FRAMES = 100
 class TrainingSet:
     """Frames on the standard body, root at the origin, facing +z, with ground truth."""
 
-    positions: Array
-    """Measured joint positions [m], NaN where missing, shape (N, J, 3)."""
-    reliability: Array
-    """Reliability in [0, 1], shape (N, J)."""
+    positions: Array  # measured joint positions [m], NaN where missing, (N, J, 3)
+    reliability: Array  # in [0, 1], shape (N, J)
     truth: Array
     """Mocap joint positions [m] in the same frame and scale, NaN where missing, shifted
     so that the hips' midpoint coincides with the measured one, shape (N, J, 3)."""
-    first: Flags
-    """True for the first frame of each take, shape (N,)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str
-    """Description of the pairs, for the model file."""
-    lengths: Array | None = None
-    """The person's own segment lengths [m] per frame, shape (N, J)."""
-    person: Indices | None = None
-    """Index of the person in each frame, shape (N,)."""
-    people: tuple[str, ...] = ()
-    """Names of the people, by index."""
-    time: Array | None = None
-    """Time stamps [s] within each take, shape (N,); None means 30 frames a second."""
-    sensor: Array | None = None
-    """Position of the sensor, as in ``Observation``, shape (N, 3)."""
+    first: Flags  # True for the first frame of each take, shape (N,)
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    source: str  # description of the pairs, for the model file
+    lengths: Array | None = None  # the person's own segment lengths [m], (N, J)
+    person: Indices | None = None  # index of the person in each frame, shape (N,)
+    people: tuple[str, ...] = ()  # names of the people, by index
+    time: Array | None = None  # stamps [s] within each take, (N,); None means at 30 Hz
+    sensor: Array | None = None  # its position, as in ``Observation``, shape (N, 3)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -55,11 +45,7 @@ class Learner(LearnedCorrector, ABC):
 
     @abstractmethod
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Train on pairs.
-
-        Raises:
-            InputError: There are too few pairs, or they are of another skeleton.
-        """
+        """Train on pairs; InputError if they are too few or of another skeleton."""
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -111,10 +97,8 @@ class TrainingFrames:
     ) -> Self:
         """Draw at most ``samples`` frames at random.
 
-        Every learned joint has at least ``least_reliability`` in them.
-
-        Raises:
-            InputError: There are too few such frames, or they are of another skeleton.
+        Every learned joint has at least ``least_reliability`` in them. Raises an
+        InputError if such frames are too few, or of another skeleton.
         """
         if training.skeleton != skeleton:
             raise InputError(
@@ -176,13 +160,9 @@ def add_offsets(
 ) -> Correction:
     """Return a posture moved by offsets; missing joints move with their parents.
 
-    Args:
-        skeleton: The joints.
-        posture: Joint positions [m], missing ones filled, shape (J, 3).
-        learned: The joints that have offsets, shape (M,).
-        offsets: Offsets of the learned joints [m], shape (M, 3).
-        missing: True for joints that were not measured, shape (J,).
-        coverage: Coverage of the posture by the training data, in [0, 1].
+    The posture [m], shape (J, 3), has missing joints filled; ``missing`` (J,) is True
+    for them. Offsets [m], shape (M, 3), are those of the ``learned`` joints (M,).
+    Coverage is that of the posture by the training data, in [0, 1].
     """
     corrected = posture.copy()
     corrected[learned] += np.where(missing[learned, None], 0.0, offsets)

@@ -23,7 +23,6 @@ from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import Reference, measure_reference
 from kinefilter.retarget import measured_body
 
@@ -73,11 +72,7 @@ class ClueWeights:
 
     @classmethod
     def load(cls, path: Path, skeleton: Skeleton) -> Self:
-        """Read weights that ``save`` wrote.
-
-        Raises:
-            InputError: The file is missing, damaged, or for another skeleton.
-        """
+        """Read weights that ``save`` wrote; raises an InputError for other files."""
         try:
             file = read_arrays(path)
             kinds = file["kinds"].tolist()
@@ -98,10 +93,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     misjudges. It is 0 for a missing joint. The deciding term is the one whose clues
     raise the odds of an error most; Term.BEHAVIOR stands for noise and speed. The
     geometry is the reliability that the joint would have if it were always tracked.
-
-    Args:
-        reference: The person's segment lengths.
-        weights: Weights of the clues; by default those of the embedded file.
+    By default, the weights of the clues are those of the embedded file.
     """
 
     def __init__(
@@ -202,13 +194,11 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
         return ClueWeights.load(path, skeleton)
 
 
-def learned_weights(
-    pairs: Sequence[PairedTake], *, progress: Progress = silent
-) -> ClueWeights:
+def learned_weights(pairs: Sequence[PairedTake]) -> ClueWeights:
     """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
-    parts = [_clues_and_errors(pair) for pair in over(pairs, "clues", progress)]
+    parts = map(_clues_and_errors, pairs)
     clues, far = map(np.concatenate, zip(*parts, strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
     kinds = np.array(learned.skeleton.kinds)

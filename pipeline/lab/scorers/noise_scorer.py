@@ -46,9 +46,6 @@ class NoiseReliabilityScorer(ReliabilityScorer):
 
     For a tracked joint the geometry ignores noise, since a noisy measurement is still
     closer to the truth than a reconstructed position.
-
-    Args:
-        reference: The person's segment lengths.
     """
 
     def __init__(self, skeleton: Skeleton, reference: Reference) -> None:

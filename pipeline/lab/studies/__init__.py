@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 
-from kinefilter.characters import InputError
+from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.formats import atomic_path
 
 from . import (
@@ -77,15 +77,13 @@ STUDIES = {run.__name__.replace("_", "-"): (run, q) for run, q in _WITH_QUICK_SI
 def check_names(names: Sequence[str]) -> None:
     """Raise an InputError if a name is not that of a study."""
     for name in names:
-        if name not in STUDIES:
-            raise InputError(f"unknown study {name!r}; known: {', '.join(STUDIES)}")
+        check_choice(name, STUDIES, "study")
 
 
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
     """Run a study, or with ``quick`` a small part of it; its figures then mean little.
 
-    Raises:
-        InputError: Unknown study, or recordings that are missing from the folder.
+    Raises an InputError if the study is unknown, or if recordings are missing.
     """
     check_names([name])
     run, sizes = STUDIES[name]

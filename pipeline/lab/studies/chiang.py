@@ -20,15 +20,7 @@ from kinefilter.pipeline.progress import over
 
 from .study import Options, Panel, Row, Series, Study, series_of
 from .study_takes import clips_of, recorded_people
-from .trial import (
-    Group,
-    Trace,
-    errors,
-    mean_cm,
-    recorded,
-    simulated,
-    trace_study,
-)
+from .trial import Group, Trace, errors, mean_cm, recorded, simulated, trace_study
 
 _CHIANG_2_3 = {
     ("deep_breathing", "all"): (9078, 10.22, 4.91, 1.46, 0.14, 1.79, 2.46),

@@ -33,22 +33,15 @@ class Claim:
     """A figure stated in README or the lab's texts."""
 
     says: str
-    figure: str
-    """The figure as printed."""
+    figure: str  # as printed
     study: str
-    row: str
-    """First cell of the row in the study's table."""
+    row: str  # first cell of the row in the study's table
     column: str
-    direction: Literal["is", "at most", "at least"]
-    """On which side of the figure the measured value may be."""
-    within: float
-    """Tolerance on the other side, in the figure's unit."""
-    why: str
-    """Reason for ``within``."""
-    recordings: bool
-    """Whether measuring it requires recordings."""
-    where: str = "README.md"
-    """The text; else ``RESULTS.md`` or ``DEPARTURES.md`` of ``pipeline/lab``."""
+    direction: Literal["is", "at most", "at least"]  # where the measured value may be
+    within: float  # tolerance on the other side, in the figure's unit
+    why: str  # reason for ``within``
+    recordings: bool  # whether measuring it requires recordings
+    where: str = "README.md"  # the text, or one of those in ``pipeline/lab``
 
     @property
     def name(self) -> str:

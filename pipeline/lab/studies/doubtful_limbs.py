@@ -67,15 +67,10 @@ def hidden_limb_errors(
     ``seen``, of all limb joints in the whole clip. ``none`` is ``clean --method none``
     without physics; it looks ahead and bridges gaps from both ends.
 
-    Args:
-        options: Settings common to all studies.
-        methods: Methods, as for ``systems_of``.
-        presets: Presets, as for ``systems_of``.
-        whole: Measure complete clips from ``clean`` instead of the corrected joints.
-        guesses: A selection from ``GUESSES``.
-        every: One in this many clips is tested.
-        count: Maximum number of people.
-        most: Maximum number of clips per person.
+    ``methods`` and ``presets`` are as for ``systems_of``. With ``whole``, complete
+    clips from ``clean`` are measured instead of the corrected joints; ``guesses`` is a
+    selection from ``GUESSES``. One in ``every`` clips is tested, of at most ``count``
+    people and ``most`` clips of each.
     """
     people = recorded_people(options.data)[:count]
     run = partial(_errors_on, systems_of(methods, presets), whole, guesses)

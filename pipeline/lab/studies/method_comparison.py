@@ -77,12 +77,7 @@ def methods_known_people(
     people, progress = recorded_people(options.data)[:count], options.progress
     clips = clips_of(people, movements, options)
     figures = evaluate(
-        clips,
-        [],
-        _METHODS,
-        protocol="repetitions",
-        every=_EVERY,
-        progress=progress,
+        clips, [], _METHODS, protocol="repetitions", every=_EVERY, progress=progress
     )
     title = "Methods on new repetitions by the people in their training data"
     return _study(title, _errors(figures))

@@ -50,10 +50,8 @@ _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
     """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
 
-    Older files are replaced when both new ones are complete.
-
-    Raises:
-        InputError: The folder cannot be created, or matplotlib is not installed.
+    Older files are replaced when both new ones are complete. Raises an InputError if
+    the folder cannot be created, or if matplotlib is not installed.
     """
     make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"
@@ -78,11 +76,7 @@ def check_drawing() -> None:
 
 
 def draw(study: Study, path: Path) -> None:
-    """Write the plot of a study as PNG.
-
-    Raises:
-        InputError: matplotlib is not installed.
-    """
+    """Write the plot of a study as PNG; InputError if matplotlib is not installed."""
     check_drawing()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -166,7 +160,6 @@ def make_pictures(
 
 
 def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
-    """Write an animation of a clip."""
     from kinefilter.pipeline.look.options import Look
     from kinefilter.pipeline.look.video import render_clips
 
@@ -210,11 +203,8 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
     columns = []
     with tempfile.TemporaryDirectory() as folder:
         camera = Path(folder) / "camera.toml"
-        camera.write_text(
-            f"position = {position.tolist()}\ntarget = {center.tolist()}\nfov = 36.0\n",
-            encoding="utf-8",
-            newline="\n",
-        )
+        place = f"position = {position.tolist()}\ntarget = {center.tolist()}\n"
+        camera.write_text(f"{place}fov = 36.0\n", encoding="utf-8", newline="\n")
         look = {"size": "200x240", "camera": str(camera)}
         look |= {"start": begin, "to": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):

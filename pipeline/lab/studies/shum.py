@@ -23,13 +23,7 @@ from kinefilter.retarget import Standardizer
 from kinefilter.scenes.library import perform, random_body
 
 from .study import Kind, Options, Panel, Row, Study, series_of
-from .study_takes import (
-    CLASSES,
-    first_person,
-    performed_by,
-    standardized,
-    study_takes,
-)
+from .study_takes import CLASSES, first_person, performed_by, standardized, study_takes
 
 _SHUM_1 = {
     "locomotion": (("walk", "run", "march"), 8.1, 15.27),

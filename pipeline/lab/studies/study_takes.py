@@ -110,8 +110,7 @@ def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
 def recordings_folder(data: Path | None) -> Path | None:
     """Return the given folder, or the default one; None if that does not exist.
 
-    Raises:
-        InputError: The given folder does not exist.
+    Raises an InputError if the given folder does not exist.
     """
     if data is None:
         return RECORDINGS if RECORDINGS.is_dir() else None

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.lab.accuracy import FAR, LIMBS, mean_of_known
+from kinefilter.pipeline.lab.accuracy import FAR, LIMB_PARTS, LIMBS, mean_of_known
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by
@@ -34,15 +34,7 @@ _TEST_PEOPLE = ("s06", "s07", "s08")  # the error model was fitted to the others
 _CLIPS = 200  # per person, approximately
 _TRACKERS: tuple[Tracker, ...] = ("model", "depth")
 _RECORDED = "recorded"
-_GROUPS = {
-    "shoulders": "Shoulder",
-    "elbows": "Elbow",
-    "wrists": "Wrist",
-    "hips": "Hip",
-    "knees": "Knee",
-    "ankles": "Ankle",
-    "all": "",
-}
+_GROUPS = {**{f"{part.lower()}s": part for part in LIMB_PARTS}, "all": ""}
 """Groups of limb joints, by the beginning of their names."""
 _RATE = 30.0  # frames per second of the clips
 _LONGEST = 45  # largest lag of the autocorrelation, in frames
@@ -75,10 +67,8 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
         own = [error[:, joints] for error in errors[name]]
         other, inferred = None, None
         if name != _RECORDED:
-            flags = [
-                p.inferred[:, joints] for p in recorded[name] if p.inferred is not None
-            ]
-            inferred = 100.0 * float(np.concatenate(flags).mean())
+            flags = [p.inferred for p in recorded[name] if p.inferred is not None]
+            inferred = 100.0 * float(np.concatenate(flags)[:, joints].mean())
             if _RECORDED in recorded:
                 other = [error[:, joints] for error in errors[_RECORDED]]
         rows.append((f"{group}, {name}", *error_figures(own, other), inferred))
@@ -118,15 +108,11 @@ def error_figures(
 ) -> tuple[float, float, float, float, float | None]:
     """Return figures of a tracker's errors.
 
-    Args:
-        clips: Errors [m] at 30 frames per second, NaN where unknown, each (T, J, 3).
-        other: Errors of another tracker in the same frames.
-
-    Returns:
-        The mean size of the constant part over a clip [cm]; of the rest, the moving
-        error, the root mean square [cm], the time after which its autocorrelation is
-        below 1/e [s], how often it is over 7 cm [%], and its correlation with that of
-        the other tracker.
+    ``clips`` are errors [m] at 30 frames per second, NaN where unknown, each (T, J, 3),
+    ``other`` those of another tracker in the same frames. The figures are the mean size
+    of the constant part over a clip [cm]; of the rest, the moving error, the root mean
+    square [cm], the time after which its autocorrelation is below 1/e [s], how often it
+    is over 7 cm [%], and its correlation with that of the other tracker.
     """
     offsets = [np.nanmean(clip, axis=0) for clip in clips]
     moving = [clip - mean for clip, mean in zip(clips, offsets, strict=True)]
@@ -185,9 +171,8 @@ def tracker_lessons(
         for tracker in _TRACKERS:
             without = [_without_offsets(pair) for pair in simulated[tracker]]
             simulated[f"{tracker}, offsets off"] = without
-        simulated["perfect"] = [
-            replace(p, take=truth_of(p)) for p in simulated["model"]
-        ]
+        perfect = [replace(p, take=truth_of(p)) for p in simulated["model"]]
+        simulated["perfect"] = perfect
         sets: dict[str, tuple[list[PairedTake], list[PairedTake]]] = {"none": ([], [])}
         sets |= {name: (pairs, []) for name, pairs in simulated.items()}
         sets["recorded"] = (known, [])
@@ -218,7 +203,6 @@ def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[Paired
 
 
 def _without_offsets(pair: PairedTake) -> PairedTake:
-    """Return the take as recorded without each joint's constant offset."""
     offsets = mean_of_known(pair.take.positions - pair.truth)
     positions = pair.take.positions - np.nan_to_num(offsets)
     return replace(pair, take=replace(pair.take, positions=positions))
