@@ -58,7 +58,10 @@ def check_folder(path: AnyPath) -> Path:
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: folder {path.parent} does not exist; create it")
+        wrong = f"folder {path.parent} does not exist; create it"
+        if path.parent.exists():
+            wrong = f"{path.parent} is a file; choose a folder"
+        raise InputError(f"{path}: {wrong}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     if not os.access(path.parent, os.W_OK):
