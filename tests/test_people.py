@@ -257,8 +257,8 @@ def test_people_go_into_one_file(
     assert main(words) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.glb", path.name]
     assert contents_of(out)["people"] == 2
+    assert capsys.readouterr().out.count("wrote") == 1
     out.unlink()
-    capsys.readouterr()
     for wrong, told in (
         (["--begin", "1"], "--begin"),
         (["--gaps", "split"], "--gaps split"),

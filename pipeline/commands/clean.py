@@ -111,6 +111,7 @@ class Clean:
         if self.one_file:
             clips = [result.clip for result, _ in results.values()]
             write_people(clips, self.out, settings.export)
+            out.print(f"wrote {self.out}")
         for body, (result, merged) in results.items():
             take = merged.take if merged else recording.take(body)
             self._write(result, take, body if several else None, merged)
@@ -180,7 +181,7 @@ class Clean:
     ) -> None:
         from kinefilter.pipeline.summary import as_tables
 
-        clips = [self.out]
+        clips = list[Path]()
         if not self.one_file:
             clips = part_paths(numbered(self.out, body), len(result.clips))
             for path, clip in zip(clips, result.clips, strict=True):
@@ -188,7 +189,8 @@ class Clean:
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
-        out.print(f"wrote {', '.join(map(str, clips))}")
+        if clips:
+            out.print(f"wrote {', '.join(map(str, clips))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
             from kinefilter.pipeline.look.page import write_report
