@@ -79,6 +79,11 @@ class Clean:
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
         settings = _changed(self.settings, self.config_file, self.given)
+        own, config = [take.resolve() for take in self.takes], settings.config
+        others = tuple(p for p in config.same_person if p.resolve() not in own)
+        if others != config.same_person:
+            out.print("--same-person names the take itself, which is ignored")
+            settings = replace(settings, config=replace(config, same_person=others))
         return replace(self, settings=settings)._run()
 
     def _run(self) -> int:
