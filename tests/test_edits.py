@@ -333,7 +333,10 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
     ("text", "told"),
     [
         (table("distrust", joints='"RightArm"'), "unknown joint 'RightArm'; known: "),
-        (table("exchange", 99.0, 100.0), "to 100 s covers no frame; the take is"),
+        (
+            table("exchange", 99.0, 100.0),
+            "edits.toml: exchange 1: from 99 to 100 s covers no frame; the take is",
+        ),
         (
             '[[pin]]\njoint = "arm"\ntime = 1\nposition = [0, 1, 0]',
             "unknown joint 'arm'",
