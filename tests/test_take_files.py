@@ -211,6 +211,8 @@ def cell(row: int, old: str, new: str) -> tuple[str, ...]:
         (("time,Head.x,Head.x\n",), ["'Head.x'", "twice"]),
         (("time\n", "0\n"), ["names no joints"]),
         ((v2_line(5), v2_line(4)), ["row 2", "backwards"]),
+        ((v2_line(5).replace("5,", "0.033,", 1),), ["row 1", "header, time,SpineBase"]),
+        (("0.033," + "1," * 79 + "2\n",), ["row 1", "header, time,HipCenter.x"]),
         ((",,\n",), ["no known layout"]),
         ((v2_line(5), "7,1,2\n"), ["row 2", "3 columns", "expected 101"]),
         (("Head;Neck\n", "0 1 2;0 1 2\n"), ["row 1", "'Neck'", "20 joint names"]),

@@ -213,6 +213,13 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
     with open_rows(source) as (row, line, lines):
         layout = layout_of(line, source)
         if not layout.has_header:
+            stamp, comma, _ = line.partition(",")
+            if comma and "." in stamp:  # in seconds, while these clocks count ticks
+                names = ",".join(layout.columns[:5])
+                raise InputError(
+                    f"{source}: row 1 begins with {stamp[:40]!r}; a table with times "
+                    f"in seconds needs a header, {names},...; add it"
+                )
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
         first, notes = row + layout.has_header, list[str]()
