@@ -47,6 +47,7 @@ from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upr
 from .uncertainty import uncertainty
 
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion
+_OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +338,7 @@ class Cleaner:
             draft.trace,
             tuple(sorted((*draft.failures, *displaced), key=lambda f: f.first)),
             (
-                *map(str, edits),
+                *(_told(edit, draft, final) for edit in edits),
                 *describe_gaps(long_gaps(take.time), take.time[0], then),
                 *_notes(draft),
             ),
@@ -350,6 +351,17 @@ def clean(
 ) -> CleanResult:
     """Clean one take; a ``Cleaner`` loads its methods once for many takes."""
     return Cleaner(config).clean(take, progress=progress)
+
+
+def _told(edit: Edit, draft: Draft, final: Array) -> str:
+    """Return a note on an edit, and how far from its pin a joint out of reach is."""
+    if edit.kind != "pin":
+        return str(edit)
+    frame = int(edit.frames(draft.time - draft.time[0]).argmax())
+    place = final[frame, draft.skeleton.index(edit.joints[0])]
+    short = float(np.linalg.norm(place - edit.position))
+    reach = f": {short:.2g} m short; pin it where the body reaches"
+    return f"{edit}{reach if short > _OUT_OF_REACH else ''}"
 
 
 def _notes(draft: Draft) -> Iterable[str]:

@@ -97,6 +97,8 @@ def _run(words: Sequence[str]) -> int:
     if words and words[0] not in COMMANDS:  # 'lab rate' means 'rate'
         group = _GROUPS.get(words[0], "").split(", ")
         words = words[1:] if words[1:2] and words[1] in group else words
+    if "" in words:  # as a path it would mean the current folder
+        raise InputError("an argument is empty; name a file, or set the variable")
     try:
         command = _read(words)
         if hasattr(command, "given"):

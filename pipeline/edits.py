@@ -28,7 +28,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
@@ -99,6 +99,8 @@ class Edit:
     """Whether that part is planted."""
     position: tuple[float, ...] = ()
     """Where the joint is pinned [m], in the clip's frame, (3,)."""
+    source: str = field(default="", compare=False, repr=False)
+    """Where it comes from, such as ``wave.edits.toml: pin 1``."""
 
     def __str__(self) -> str:
         return f"edited: {self.summary}"
@@ -199,7 +201,7 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
             "frame, the end not before the beginning"
         )
     part, stands = values.get("part", ""), values.get("stands", False)
-    return Edit(kind, begin, end, joints, part, stands, position)
+    return Edit(kind, begin, end, joints, part, stands, position, where)
 
 
 def with_contacts(contacts: Flags, edits: Iterable[Edit], since: Array) -> Flags:
@@ -241,17 +243,17 @@ def edited(take: Take, edits: Iterable[Edit], since: Array | None = None) -> Tak
 
 def _check(edit: Edit, frames: Flags, take: Take) -> None:
     """Raise an InputError if a take does not have an edit's joints or frames."""
+    where = edit.source or f"{take.source}: an edit"
     limbs = () if edit.kind == "pin" else LIMBS
     known = (*limbs, *take.skeleton.joints)
     for name in edit.joints:
         if name not in known:
             raise InputError(
-                f"{take.source}: edits name an unknown joint {shown(name)}; known: "
-                f"{', '.join(known)}"
+                f"{where}: unknown joint {shown(name)}; known: {', '.join(known)}"
             )
     length = take.time[-1] - take.time[0]
     if not frames.any() or edit.begin > length + _ROUNDING:
         raise InputError(
-            f"{take.source}: an edit from {edit.begin:g} to {edit.end:g} s covers no "
-            f"frame; the take is {length:.1f} s long"
+            f"{where}: from {edit.begin:g} to {edit.end:g} s covers no frame; the take "
+            f"is {length:.1f} s long"
         )

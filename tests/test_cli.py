@@ -134,6 +134,8 @@ def test_a_missing_take_and_an_unknown_extension_are_refused(
     )
     assert ".abc" in error
     assert ".usda" in error
+    error = _refused(["clean", "", "-o", str(tmp_path / "c.usda")], tmp_path, capsys)
+    assert "an argument is empty" in error
 
 
 def test_a_take_is_never_overwritten(

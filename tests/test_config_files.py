@@ -208,3 +208,16 @@ def test_batch_lets_options_overrule_every_file(
     assert rates() == pytest.approx([20, 25], rel=1e-4)
     assert main([*command, "--fps", "40"]) == 0
     assert rates() == pytest.approx([40, 40], rel=1e-4)
+
+
+def test_the_take_itself_is_no_other_take_of_the_person(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    take, other = tmp_path / "t.csv", tmp_path / "other.csv"
+    for path in (take, other):
+        write_take_csv(short_take(30), path)
+    words = ["clean", str(take), "-o", str(tmp_path / "t.npz"), "--no-physics"]
+    assert main([*words, "--same-person", str(other)]) == 0
+    assert "is ignored" not in capsys.readouterr().out
+    assert main([*words, "--same-person", str(other), str(take)]) == 0
+    assert "the take itself, which is ignored" in capsys.readouterr().out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -351,3 +352,13 @@ def test_contacts_are_not_saved_over_what_is_needed_or_nowhere(
         assert main([*arguments, *options]) == 2
         assert capsys.readouterr().err.startswith("kinefilter: ")
     assert list(tmp_path.iterdir()) == [mine]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it has a /proc")
+def test_no_clip_is_written_where_its_contacts_cannot_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["clean", str(SAMPLE), "-o", str(tmp_path / "clip.npz"), "--no-physics"]
+    assert main([*words, "--save-contacts", "/proc/contacts.csv"]) == 2
+    assert "/proc/contacts.csv: cannot be written" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -183,6 +183,7 @@ def test_a_pinned_joint_is_where_it_is_pinned_and_its_neighbors_follow(
     found = Cleaner().clean(take, edits=pins, before=unedited)
     for k, place in zip((frame, frame + 8), places, strict=True):
         assert np.linalg.norm(found.clip.positions[k, j] - place) < 0.015
+    assert found.notes[: len(pins)] == tuple(map(str, pins))
     moved = apart(found, before)
     assert moved[np.abs(since - since[frame]) > 0.5 + 8 / 30 + 0.02].max() < 1e-9
     jerk = np.abs(np.diff(moved[:, j], 3)).max()
@@ -191,6 +192,19 @@ def test_a_pinned_joint_is_where_it_is_pinned_and_its_neighbors_follow(
     if joint == "AnkleLeft":  # raised by 5 cm, with the foot
         assert before.clip.contacts[frame, :2].any()
         assert not found.clip.contacts[frame, :2].any()
+
+
+def test_how_far_a_joint_is_from_a_pin_out_of_reach_is_told(
+    pair: PairedTake, unedited: Unedited, before: CleanResult
+) -> None:
+    frame = int(np.abs(pair.take.time - pair.take.time[0] - 2.5).argmin())
+    x, y, z = before.clip.positions[frame, ARM[0]].tolist()
+    pin = Edit("pin", 2.5, 2.5, ("ElbowRight",), position=(x, y + 3.0, z))
+    found = Cleaner().clean(pair.take, edits=[pin], before=unedited)
+    short = y + 3.0 - found.clip.positions[frame, ARM[0], 1]
+    assert 2.0 < short < 3.0
+    assert found.notes[0].startswith("edited: ElbowRight pinned at 2.5 s: 2")
+    assert found.notes[0].endswith(" m short; pin it where the body reaches")
 
 
 @pytest.mark.parametrize("stands", [True, False])
@@ -333,7 +347,10 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
     ("text", "told"),
     [
         (table("distrust", joints='"RightArm"'), "unknown joint 'RightArm'; known: "),
-        (table("exchange", 99.0, 100.0), "to 100 s covers no frame; the take is"),
+        (
+            table("exchange", 99.0, 100.0),
+            "edits.toml: exchange 1: from 99 to 100 s covers no frame; the take is",
+        ),
         (
             '[[pin]]\njoint = "arm"\ntime = 1\nposition = [0, 1, 0]',
             "unknown joint 'arm'",

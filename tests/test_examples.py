@@ -80,6 +80,17 @@ def test_a_method_of_ones_own_corrects(take: Path, tmp_path: Path) -> None:
     assert np.isfinite(clip.positions).all()
 
 
+@pytest.mark.parametrize(
+    "path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name
+)
+def test_an_example_without_arguments_prints_its_usage(path: Path) -> None:
+    usage = path.read_text(encoding="utf-8").split("    python ")[1].split("\n")[0]
+    command = [sys.executable, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"usage: {usage}\n")
+
+
 def test_there_are_no_examples_that_are_not_run() -> None:
     tested = Path(__file__).read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):

@@ -262,17 +262,19 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "file").touch()
     for name, words in {
         "clip.abc": r"'\.abc'.*\.usda, .*, \.glb, \.vrma, \.fbx, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
         "none/clip.csv": "does not exist",
         "folder.csv": "is a folder",
+        "file/clip.csv": "file is a file; choose a folder",
     }.items():
         with pytest.raises(InputError, match=words):
             check_writable(tmp_path / name)
         with pytest.raises(InputError, match=words):
             write_clip(make_clip(2), tmp_path / name)
-    assert names_in(tmp_path) == ["folder.csv"]
+    assert names_in(tmp_path) == ["file", "folder.csv"]
 
 
 def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> None:

@@ -97,7 +97,8 @@ def test_a_part_is_cut_of_the_whole_cleaned_take(tmp_path: Path) -> None:
         (["--begin", "30"], "no frames from 30 to 9.9"),
         (["--end", "12.5"], "no frames from 0 to 12.5 s, it has 298"),
         (["--begin", "3", "--end", "2"], "--begin 3 --end 2: expected seconds"),
-        (["--begin", "-1"], "--begin -1"),
+        (["--begin", "-1"], "--begin -1: expected seconds"),
+        (["--end", "0"], "--end 0: expected seconds"),
     ],
 )
 def test_spans_outside_of_the_take_are_refused_before_it_is_cleaned(

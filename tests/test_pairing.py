@@ -361,3 +361,14 @@ def test_evaluate_reads_pairs_of_a_session_and_residuals_are_drawn(
     assert main(["evaluate", "--test", str(out), *arguments]) == 0
     raw = json.loads(figures.read_text("utf-8"))["methods"]["raw"]
     assert 4.0 < raw["E"] < 8.0
+
+
+def test_a_picture_without_matplotlib_is_refused(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    words = ["pair", "take.csv", "mocap.bvh", "-o", str(tmp_path / "pairs.npz")]
+    assert main([*words, "--picture", str(tmp_path / "fit.png")]) == 2
+    assert "a plot needs matplotlib" in capsys.readouterr().err

@@ -134,6 +134,19 @@ def test_rows_of_one_time_in_two_places_are_two_people(tmp_path: Path) -> None:
         np.testing.assert_allclose(take.positions, truth.positions, atol=1e-8)
 
 
+def test_changes_of_numbers_are_told_in_seconds_after_the_first_frame(
+    tmp_path: Path,
+) -> None:
+    one, other = moving(60, -1.0, 0.2), moving(60, 1.0, -0.2)
+    places = np.stack([one.positions, other.positions], axis=1)
+    places[30:] = places[30:, ::-1]
+    time, state = np.repeat(one.time, 2) + 3553.0, np.repeat(one.state, 2, axis=0)
+    both = Take(time, places.reshape(120, -1, 3), state, KINECT_V2)
+    write_take_csv(both, tmp_path / "a.csv")
+    (note,) = read_recording(tmp_path / "a.csv").notes
+    assert "change at 1.0, 1.0 s" in note
+
+
 def test_a_clock_that_stands_still_makes_no_crowd(tmp_path: Path) -> None:
     take = moving(60, 0.0, 1.0)
     write_take_csv(replace(take, time=np.floor(take.time)), tmp_path / "a.csv")
@@ -244,8 +257,8 @@ def test_people_go_into_one_file(
     assert main(words) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.glb", path.name]
     assert contents_of(out)["people"] == 2
+    assert capsys.readouterr().out.count("wrote") == 1
     out.unlink()
-    capsys.readouterr()
     for wrong, told in (
         (["--begin", "1"], "--begin"),
         (["--gaps", "split"], "--gaps split"),

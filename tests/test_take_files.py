@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,39 @@ def test_kinect_v1_joints_go_by_the_header_and_labels_are_ignored(
     assert take.time.tolist() == pytest.approx([0.0, 1 / 30])
 
 
+def _continental(line: str) -> str:
+    text = line.replace(",", ";")
+    return text.replace(".", ",") if text[0].isdigit() else text
+
+
+def _quoted(line: str) -> str:
+    return '"' + line.rstrip("\n").replace(",", '","') + '"\n'
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda line: line.replace(",", "\t"),
+        lambda line: line.replace(",", ";"),
+        _continental,
+        _quoted,
+        lambda line: _quoted(line).replace(",", ";"),
+        lambda line: line.replace("time", "Time"),
+        lambda line: line.replace("\n", ",\n"),
+        lambda line: f"{'' if line[0] == 't' else '7'},{line}",
+        lambda line: ",".join([*line.strip().split(",")[::-1], "\n"]),
+    ],
+)
+def test_a_table_is_read_as_spreadsheets_and_statistics_programs_write_it(
+    tmp_path: Path, change: Callable[[str], str]
+) -> None:
+    lines = [HEADER, *ROWS, "0.3,,,,,0.4,1,2\n"]
+    plain = read_take(write_text(tmp_path / "a", *lines))
+    again = read_take(write_text(tmp_path / "b", *map(change, lines)))
+    for name in ("time", "positions", "state"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(plain, name))
+
+
 # Complaints
 
 
@@ -177,6 +211,9 @@ def cell(row: int, old: str, new: str) -> tuple[str, ...]:
         (("time,Head.x,Head.x\n",), ["'Head.x'", "twice"]),
         (("time\n", "0\n"), ["names no joints"]),
         ((v2_line(5), v2_line(4)), ["row 2", "backwards"]),
+        ((v2_line(5).replace("5,", "0.033,", 1),), ["row 1", "header, time,SpineBase"]),
+        (("0.033," + "1," * 79 + "2\n",), ["row 1", "header, time,HipCenter.x"]),
+        ((",,\n",), ["no known layout"]),
         ((v2_line(5), "7,1,2\n"), ["row 2", "3 columns", "expected 101"]),
         (("Head;Neck\n", "0 1 2;0 1 2\n"), ["row 1", "'Neck'", "20 joint names"]),
         (

@@ -79,6 +79,11 @@ class Clean:
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
         settings = _changed(self.settings, self.config_file, self.given)
+        own, config = [take.resolve() for take in self.takes], settings.config
+        others = tuple(p for p in config.same_person if p.resolve() not in own)
+        if others != config.same_person:
+            out.print("--same-person names the take itself, which is ignored")
+            settings = replace(settings, config=replace(config, same_person=others))
         return replace(self, settings=settings)._run()
 
     def _run(self) -> int:
@@ -111,6 +116,7 @@ class Clean:
         if self.one_file:
             clips = [result.clip for result, _ in results.values()]
             write_people(clips, self.out, settings.export)
+            out.print(f"wrote {self.out}")
         for body, (result, merged) in results.items():
             take = merged.take if merged else recording.take(body)
             self._write(result, take, body if several else None, merged)
@@ -180,7 +186,7 @@ class Clean:
     ) -> None:
         from kinefilter.pipeline.summary import as_tables
 
-        clips = [self.out]
+        clips = list[Path]()
         if not self.one_file:
             clips = part_paths(numbered(self.out, body), len(result.clips))
             for path, clip in zip(clips, result.clips, strict=True):
@@ -188,7 +194,8 @@ class Clean:
         if self.save_contacts is not None:
             write_contacts(result.clip, numbered(self.save_contacts, body))
         out.print(as_tables(result))
-        out.print(f"wrote {', '.join(map(str, clips))}")
+        if clips:
+            out.print(f"wrote {', '.join(map(str, clips))}")
         if self.report is not None:
             from kinefilter.pipeline.look.comparison import compare
             from kinefilter.pipeline.look.page import write_report

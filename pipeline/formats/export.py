@@ -135,9 +135,11 @@ class Export:
                     f"--{name} {value:g}: expected {low:g} to {high:g} {unit}"
                 )
         if not 0.0 <= (self.begin or 0.0) < (inf if self.end is None else self.end):
+            ends = (("--begin", self.begin), ("--end", self.end))
+            given = " ".join(f"{k} {v:g}" for k, v in ends if v is not None)
             raise InputError(
-                f"--begin {self.begin or 0.0:g} --end {self.end or 0.0:g}: expected "
-                "seconds after the take's first frame, the end later than the beginning"
+                f"{given}: expected seconds after the take's first frame, the end "
+                "later than the beginning"
             )
         if self.target is not None and self.rig is None:
             raise InputError(f"--target {self.target}: needs --rig for its joint names")

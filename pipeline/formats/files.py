@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from tokenize import TokenError
 from typing import Any, TextIO
 
@@ -58,12 +59,18 @@ def check_folder(path: AnyPath) -> Path:
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: folder {path.parent} does not exist; create it")
+        wrong = f"folder {path.parent} does not exist; create it"
+        if path.parent.exists():
+            wrong = f"{path.parent} is a file; choose a folder"
+        raise InputError(f"{path}: {wrong}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: folder {path.parent} is read-only; write elsewhere")
-    return path
+    try:
+        with TemporaryFile(dir=path.parent):
+            return path
+    except OSError as error:
+        reason = f"cannot be written ({error.strerror})"
+        raise InputError(f"{path}: {reason}; write elsewhere") from error
 
 
 def make_folder(path: Path) -> None:

@@ -345,8 +345,9 @@ def takes_of_people(
 def _notes_on_changes(
     people: Sequence[Sequence[Part]], tracks: Sequence[Track]
 ) -> Notes:
+    begin = min(float(track.time[0]) for track in tracks)
     changes = sorted(
-        float(tracks[part.track].time[part.rows[0]])
+        float(tracks[part.track].time[part.rows[0]]) - begin
         for parts in people
         for last, part in pairwise(parts)
         if last.track != part.track

@@ -49,7 +49,8 @@ class RowReader:
         numbered, count = enumerate(lines, start=first_row), 0
         blocks = [Block(np.empty(0, int), np.empty((0, len(self.columns))))]
         while count <= most and (chunk := list(islice(numbered, _BLOCK_LINES))):
-            if filled := {row: line.strip() for row, line in chunk if line.strip()}:
+            # A tab at either end may be next to an empty cell.
+            if filled := {k: line.strip(" \r\n") for k, line in chunk if line.strip()}:
                 texts = [self.normalize(line) for line in filled.values()]
                 blocks.append(self._block(np.array(list(filled)), texts))
                 count += len(filled)

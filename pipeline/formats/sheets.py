@@ -122,20 +122,32 @@ class _Layout:
     weighted: bool = False  # states that are all 0 or 1 only mark missing joints
 
 
+def _separator(header: str) -> str:
+    return max(",;\t", key=header.count)
+
+
+def header_cells(line: str) -> tuple[str, ...]:
+    """Return the columns of a header with commas, semicolons or tabs between them."""
+    cells = [cell.strip().strip('"') for cell in line.split(_separator(line))]
+    return tuple("time" if cell.lower() == "time" else cell for cell in cells)
+
+
 def _kinefilter(line: str, source: str) -> _Layout:
-    columns = tuple(cell.strip().strip('"') for cell in line.strip().split(","))
-    joints = tuple(dict.fromkeys(c.rpartition(".")[0] or c for c in columns[1:]))
+    columns, separator = header_cells(line), _separator(line)
+    named = [column for column in columns if column]  # spreadsheets add empty ones
+    parts = [column for column in named if column != "time"]
+    joints = tuple(dict.fromkeys(part.rpartition(".")[0] or part for part in parts))
     skeletons = sorted(SKELETONS.values(), key=len)
     # The skeleton with most of the joints, the smallest among equals.
     skeleton = max(skeletons, key=lambda s: len(set(joints) & set(s.joints)))
     needed = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    twice, times = Counter(columns).most_common(1)[0]
+    twice = [name for name, times in Counter(named).items() if times > 1]
     known = {*_columns(skeleton), *_columns(skeleton, _MERGED)}
     wrong = ""
-    if columns[0] != "time":
+    if "time" not in named:
         wrong = f", column 1 is {columns[0][:40]!r}, expected the header 'time'"
-    elif times > 1:
-        wrong = f" has column {twice[:40]!r} twice; delete one of them"
+    elif twice:
+        wrong = f" has column {twice[0][:40]!r} twice; delete one of them"
     elif not joints:
         wrong = " names no joints; expected columns such as Head.x after 'time'"
     elif unknown := [joint for joint in joints if joint not in skeleton.joints]:
@@ -143,7 +155,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
             f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
             f"{', '.join(skeleton.joints)}; rename or delete its columns"
         )
-    elif unknown := [name for name in columns if name not in known]:
+    elif unknown := [name for name in named if name not in known]:
         wrong = (
             f", column {unknown[0][:40]!r} is unknown; expected x, y, z or state after "
             "the joint, such as Head.x"
@@ -152,7 +164,14 @@ def _kinefilter(line: str, source: str) -> _Layout:
         wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
-    return _Layout(skeleton, columns, str, 1.0, has_header=True)
+
+    def normalize(line: str) -> str:
+        line = line.replace('"', "")
+        if separator != ",":  # then a comma is a decimal one
+            line = line.replace(",", ".").replace(separator, ",")
+        return line
+
+    return _Layout(skeleton, columns, normalize, 1.0, has_header=True)
 
 
 def _kinect_v1(line: str, source: str) -> _Layout:
@@ -194,6 +213,13 @@ def _read(layout_of: Callable[[str, str], _Layout], source: str) -> Recording:
     with open_rows(source) as (row, line, lines):
         layout = layout_of(line, source)
         if not layout.has_header:
+            stamp, comma, _ = line.partition(",")
+            if comma and "." in stamp:  # in seconds, while these clocks count ticks
+                names = ",".join(layout.columns[:5])
+                raise InputError(
+                    f"{source}: row 1 begins with {stamp[:40]!r}; a table with times "
+                    f"in seconds needs a header, {names},...; add it"
+                )
             lines = chain([line], lines)
         reader = RowReader(source, layout.columns, layout.normalize)
         first, notes = row + layout.has_header, list[str]()

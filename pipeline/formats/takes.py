@@ -17,6 +17,7 @@ from kinefilter.pipeline.target.upright import with_y_up
 
 from .files import AnyPath, beginning, check_file
 from .recording import Recording, at_rate, open_rows
+from .sheets import header_cells
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
 _DESCRIBED = ("kinefilter", "kinect-v2", "kinect-v1")  # in the error message
@@ -52,10 +53,7 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     "freemocap": ("keypoints:read_freemocap", lambda line: "left_hip_x" in line),
     "openpose": ("keypoints:read_openpose", lambda line: _has(line, "openpose")),
     "mmpose": ("keypoints:read_mmpose", lambda line: _has(line, "mmpose")),
-    "kinefilter": (
-        "sheets:read_kinefilter",
-        lambda line: _cells(line)[0].strip().strip('"').lower() == "time",
-    ),
+    "kinefilter": ("sheets:read_kinefilter", lambda line: "time" in header_cells(line)),
     "kinect-v2": (
         "sheets:read_kinect_v2",
         # The last cell may end with a comma, too.

@@ -6,6 +6,7 @@
 """
 
 import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import kinefilter
@@ -27,4 +28,6 @@ def main(takes: Path, clips: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        ArgumentParser(usage="%(prog)s TAKES CLIPS").error("give two folders")
     main(Path(sys.argv[1]), Path(sys.argv[2]))

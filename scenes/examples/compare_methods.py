@@ -7,6 +7,7 @@ pairs of a simulated person.
 """
 
 import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import kinefilter
@@ -21,4 +22,6 @@ def main(path: Path, *methods: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        ArgumentParser(usage="%(prog)s PAIRS [METHOD ...]").error("give pairs")
     main(Path(sys.argv[1]), *sys.argv[2:])

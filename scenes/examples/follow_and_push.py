@@ -6,6 +6,7 @@ In a game, frames come from a sensor; here they come from a recorded take.
 """
 
 import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import kinefilter
@@ -29,4 +30,6 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        ArgumentParser(usage="%(prog)s TAKE").error("give a take")
     main(Path(sys.argv[1]))

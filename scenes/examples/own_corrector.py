@@ -7,6 +7,7 @@ line to ``METHODS`` in ``pipeline/methods.py``.
 """
 
 import sys
+from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
@@ -43,4 +44,6 @@ def main(path: Path, clip: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        ArgumentParser(usage="%(prog)s TAKE CLIP").error("give a take and a clip")
     main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -9,6 +9,7 @@ a share of the person's height. ``retarget/rigs`` has the built-in maps, and
 
 import sys
 import tempfile
+from argparse import ArgumentParser
 from pathlib import Path
 
 import kinefilter
@@ -43,4 +44,6 @@ def main(take: Path, clip: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        ArgumentParser(usage="%(prog)s TAKE CLIP").error("give a take and a clip")
     main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -72,7 +72,7 @@ def write_table(rows: Iterable[Sequence[Cell]], path: Path) -> None:
 
 def check_drawing() -> None:
     """Raise an InputError if matplotlib is not installed."""
-    require("matplotlib", "the plot of a study", "reproduce")
+    require("matplotlib", "a plot", "reproduce")
 
 
 def draw(study: Study, path: Path) -> None:
