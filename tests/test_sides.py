@@ -108,11 +108,15 @@ def test_toes_that_point_at_the_sensor_are_turned_forward() -> None:
     np.testing.assert_allclose(kept.positions, true, atol=1e-9)
 
 
-def test_the_trunk_turns_evenly_where_its_heading_jumps() -> None:
+@pytest.mark.parametrize("shaky", [0.0, 50.0])
+def test_the_trunk_turns_evenly_where_its_heading_jumps(shaky: float) -> None:
+    """The shorter way, even where the jump itself looks like more than half a turn."""
     take = _walk(motion="stand_idle")
     jump, change = np.radians(140.0), 60
     frames = np.arange(len(take)) >= change
-    frame = HeadingFrame(take.positions[:, 0], np.where(frames, jump, 0.0))
+    yaw = np.where(frames, jump, 0.0)
+    yaw[change - 2 : change + 2] += np.radians([-shaky, -shaky, shaky, shaky])
+    frame = HeadingFrame(take.positions[:, 0], yaw)
     positions = frame.unturned.remove(take.positions)
     turned = replace(take, positions=frame.restore(positions))
     mended = swapped_back(turned.swapped(frames), np.stack([frames, frames], 1))
