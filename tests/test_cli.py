@@ -389,3 +389,12 @@ def test_a_group_may_stand_before_its_commands(
     with pytest.raises(SystemExit) as refused:
         main(["daily", "bench"])
     assert refused.value.code == 2
+
+
+def test_a_link_to_itself_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    link = tmp_path / "take.csv"
+    link.symlink_to(link)
+    assert main(["clean", str(link), "-o", str(tmp_path / "clip.bvh")]) == 2
+    assert "is a link to a missing file" in capsys.readouterr().err

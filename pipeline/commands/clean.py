@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -79,8 +80,8 @@ class Clean:
     def run(self) -> int:
         """Clean the take, write the clip, and print its figures."""
         settings = _changed(self.settings, self.config_file, self.given)
-        own, config = [take.resolve() for take in self.takes], settings.config
-        others = tuple(p for p in config.same_person if p.resolve() not in own)
+        own, config = [realpath(take) for take in self.takes], settings.config
+        others = tuple(p for p in config.same_person if realpath(p) not in own)
         if others != config.same_person:
             out.print("--same-person names the take itself, which is ignored")
             settings = replace(settings, config=replace(config, same_person=others))

@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -57,7 +58,7 @@ def check_outputs(written: Sequence[Path | None], *read: Path | None) -> None:
 def keep(written: Path, *others: Path | None) -> None:
     """Raise an InputError if writing a file would overwrite one of ``others``."""
     for other in others:
-        if other is not None and written.resolve() == other.resolve():
+        if other is not None and realpath(written) == realpath(other):
             raise InputError(f"{written}: would overwrite {other}; choose another name")
 
 
