@@ -109,7 +109,7 @@ class Failures(Stage):
         """
         draft.impossible = self._impossible.step(draft.measured, draft.time)
         draft.appears = self._impossible.appears
-        lost = draft.impossible | stray_joints(draft.measured[None])[0]
+        lost = draft.impossible | stray_joints(draft.measured, self._impossible.middle)
         if lost.any():
             draft.measured = np.where(lost[:, None], np.nan, draft.measured)
             draft.state = np.where(lost, np.uint8(State.NOT_TRACKED), draft.state)

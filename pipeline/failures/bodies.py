@@ -39,6 +39,8 @@ class ImpossibleBodies:
 
     appears: bool
     """Whether the last frame is the first one accepted, at all or at another place."""
+    middle: Array
+    """Middle of the body in the last frame [m], shape (3,), NaN without any joint."""
 
     def __init__(self, body: Body) -> None:
         self._skeleton = body.skeleton
@@ -55,7 +57,7 @@ class ImpossibleBodies:
         joint is not impossible. The time stamp is in s.
         """
         self.appears = False
-        place = _lower_median(positions)
+        self.middle = place = _lower_median(positions)
         if np.isnan(place[0]):
             return False
         lengths = segment_lengths(positions, self._skeleton)[self._skeleton.segments]
@@ -111,10 +113,10 @@ def wrong_size_frames(take: Take) -> Flags:
     return np.asarray((size > _SIZE_FACTOR) | (size < 1.0 / _SIZE_FACTOR))
 
 
-def stray_joints(positions: Array) -> Flags:
-    """Return True for joints too far away to be part of their body, (T, J)."""
-    away = positions - _middles(positions)[:, None]
-    return np.asarray(np.linalg.norm(away, axis=2) > _REACH)
+def stray_joints(positions: Array, middle: Array) -> Flags:
+    """Return True for joints too far from the body's middle [m] to be its, (..., J)."""
+    away = positions - middle[..., None, :]
+    return np.asarray(np.vecdot(away, away) > _REACH**2)
 
 
 def sunken_frames(take: Take) -> Flags:
@@ -137,7 +139,7 @@ def sunken_frames(take: Take) -> Flags:
     return sunken
 
 
-def _middles(positions: Array) -> Array:
+def middles(positions: Array) -> Array:
     """Return the middle of the body [m] in each frame, shape (T, 3)."""
     by_joint = positions.transpose(1, 0, 2).reshape(positions.shape[1], -1)
     return column_medians(by_joint).reshape(-1, 3)
@@ -151,7 +153,7 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     do jump from one person to another.
     """
     wrong, jumps = np.zeros((2, len(take)), dtype=bool)
-    middle = _middles(take.positions)
+    middle = middles(take.positions)
     known = np.flatnonzero(~np.isnan(middle[:, 0]))
     if not len(known):
         return wrong, jumps

@@ -14,6 +14,7 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.reliability import Scores
 
 from .bodies import (
+    middles,
     misplaced_frames,
     stray_joints,
     sunken_frames,
@@ -124,7 +125,7 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     time, kind = take.time, FailureKind
     found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
     take = without_impossible_bodies(take, found)
-    stray = stray_joints(take.positions)
+    stray = stray_joints(take.positions, middles(take.positions))
     for joint, frames in zip(take.skeleton.joints, stray.T, strict=True):
         found += stretches(time, kind.STRAY, joint, frames)
     found += stretches(time, kind.SUNKEN, "body", sunken_frames(take))
