@@ -371,6 +371,9 @@ def _notes(draft: Draft) -> Iterable[str]:
             "no T-pose or standing frames with every joint tracked: segment lengths "
             "are measured over the whole take"
         )
+    joints = draft.skeleton.joints
+    if unseen := [joints[j] for j in np.flatnonzero(draft.missing.all(axis=0))]:
+        yield f"never tracked, so a guess: {', '.join(unseen)}"
     yield from draft.turn.notes(draft.tilt)
     if draft.turn.roll:
         yield "--tilt 0 leaves the sensor's frame as it is"

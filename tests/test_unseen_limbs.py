@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from real_data import PAIRS, paired
 
 from kinefilter import CleanConfig, Cleaner
-from kinefilter.characters import KINECT_V1, State, standard_body
+from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.limb_lessons import with_prior
 from kinefilter.pipeline.pairs import read_pairs
@@ -52,6 +52,19 @@ def filled(positions: Array, hidden: list[int]) -> Array:
     unseen = np.isnan(blind[..., 0]).all(axis=0)
     time = np.arange(len(positions)) / RATE
     return fill_unseen(time, blind, unseen, BODY, default_prior())[0]
+
+
+def test_joints_that_are_never_tracked_are_told() -> None:
+    time, places = np.arange(30) / RATE, postures()
+    state = np.full(places.shape[:2], State.TRACKED, dtype=np.uint8)
+    cleaner = Cleaner(CleanConfig(physics=False))
+    word = "never tracked"
+    seen = cleaner.clean(Take(time, places, state, KINECT_V1))
+    assert not any(word in note for note in seen.notes)
+    state[:, LEGS] = State.NOT_TRACKED
+    blind = cleaner.clean(Take(time, places, state, KINECT_V1))
+    names = "KneeLeft, AnkleLeft, KneeRight, AnkleRight"
+    assert f"{word}, so a guess: {names}" in blind.notes
 
 
 def test_unseen_legs_stand_below_the_hips() -> None:
