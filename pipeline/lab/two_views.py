@@ -110,10 +110,11 @@ def compare_views(
 ) -> Figures:
     """Return the distances between two sensors' limbs [cm], by session and by angle.
 
-    Beside them are the angles between the headings of the trunk [degrees]. The side
-    sensor's take is cleaned with each method, with or without physics. All must work
-    without training, as in ``measure_hidden``, except ``learned``, which is trained on
-    the pairs ``train`` and the sessions of other people.
+    Beside them are the angles between the headings of the trunk [degrees], medians over
+    frames, because sides may be swapped in some. The side sensor's take is cleaned with
+    each method, with or without physics. All must work without training, as in
+    ``measure_hidden``, except ``learned``, which is trained on the pairs ``train`` and
+    the sessions of other people.
 
     Raises:
         InputError: A method is unknown, or takes do not belong together.
@@ -234,7 +235,7 @@ def _compare(
             for k, limb in enumerate(LIMBS)
         }
         turned = _turned_from(seen[row], truth, skeleton)
-        rows[row][_TRUNK] = {"all": _mean(turned), "sure": _mean(turned[faces])}
+        rows[row][_TRUNK] = {"all": _median(turned), "sure": _median(turned[faces])}
     return {
         "session": session.name,
         "angle": session.name.split("_")[1] if session.name.count("_") > 1 else "",
@@ -368,6 +369,11 @@ def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
 def _mean(values: Any) -> float | None:
     known = np.array([v for v in np.ravel(values) if v is not None and not np.isnan(v)])
     return float(known.mean()) if len(known) else None
+
+
+def _median(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
 
 
 def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
