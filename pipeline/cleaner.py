@@ -41,7 +41,7 @@ from .stages import (
     Stage,
     Standardize,
 )
-from .target.aim_stages import AimHands, AimHead, Ranges
+from .target.aim_stages import AimHands, AimHead
 from .target.floor import to_world
 from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
@@ -126,12 +126,10 @@ class Cleaner:
             Orient(),  # compute a rotation for every segment
             AimHead(),  # aim the head by all joints above the shoulders
             AimHands(),  # aim hands by all their joints, twist forearms by the thumbs
-            Ranges(),  # turn segments back that are bent beyond their range
             Physics(config, tracking),  # pull a simulated character through the motion
         )
         enabled = {"physics": config.physics, "reconstruct": config.reconstruct}
-        # No paper repairs its input, or limits joints.
-        enabled |= dict.fromkeys(("failures", "ranges"), config.preset is None)
+        enabled["failures"] = config.preset is None  # no paper repairs its input
         self.stages = tuple(s for s in stages if enabled.get(s.name, True))
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()

@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import (
     IDENTITY,
@@ -16,12 +15,9 @@ from kinefilter.characters.rotations import (
     inverse,
     multiply,
     rotate,
-    rotation_vector,
-    slerp,
 )
 
 _NO_PLANE = 1e-9  # m^2
-_MARGIN = np.radians(1.0)  # rad by which a range is not used up: its limit is soft
 _X = np.array([1.0, 0.0, 0.0])
 
 
@@ -49,29 +45,6 @@ def rotations_from_positions(
         bone = positions[..., j, :] - positions[..., p, :]
         rotations[..., j, :] = _aligned(rotations[..., p, :], rest[j], bone)
     return rotations
-
-
-def within_ranges(rotations: Array, skeleton: Skeleton) -> Array:
-    """Return segment rotations, wxyz (T, J, 4), with no joint beyond its range.
-
-    From the root outward, a segment that is bent too far turns back toward its T-pose;
-    those after it keep their orientation as far as their own range allows.
-    """
-    ends, starts = skeleton.segments, skeleton.segment_parents
-    most = np.array([joint_range(skeleton.joints[j]) for j in ends]) - _MARGIN
-    relative = multiply(inverse(rotations[:, starts]), rotations[:, ends])
-    beyond = np.linalg.norm(rotation_vector(relative), axis=2) > most
-    some = beyond.any(axis=1)
-    if not some.any():
-        return rotations
-    limited, turns = rotations.copy(), rotations[some]
-    for j, p, angle in zip(ends, starts, most, strict=True):
-        bent = multiply(inverse(turns[:, p]), turns[:, j])
-        bends = np.linalg.norm(rotation_vector(bent), axis=1)
-        share = np.minimum(1.0, angle / np.maximum(bends, 1e-9))
-        turns[:, j] = multiply(turns[:, p], slerp(IDENTITY, bent, share))
-    limited[some] = turns
-    return limited
 
 
 def fill_missing_joints(positions: Array, body: Body) -> Array:

@@ -20,7 +20,6 @@ from kinefilter.characters import (
     positions_from_rotations,
     standard_body,
 )
-from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
@@ -31,7 +30,6 @@ from kinefilter.characters.rotations import (
     rotation_vector,
 )
 from kinefilter.retarget import fill_missing_joints, rotations_from_positions
-from kinefilter.retarget.orientation import within_ranges
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -268,25 +266,3 @@ def test_angles_do_not_depend_on_where_memory_lies(
     rotations_from_positions(act.positions, act.body)
     assert seen
     assert all(seen)
-
-
-@every_skeleton
-def test_segments_are_turned_back_into_their_range_and_no_farther(
-    skeleton: Skeleton,
-) -> None:
-    ends, starts = skeleton.segments, skeleton.segment_parents
-    most = np.array([joint_range(skeleton.joints[j]) for j in ends])
-    wildly = wild(skeleton, 3, 20)
-
-    def bends(turns: Array) -> Array:
-        relative = multiply(inverse(turns[:, starts]), turns[:, ends])
-        return np.linalg.norm(rotation_vector(relative), axis=2)
-
-    limited = within_ranges(wildly, skeleton)
-    assert (bends(wildly) > most).any(axis=0).all()
-    assert (bends(limited) < most).all()
-    np.testing.assert_allclose(within_ranges(limited, skeleton), limited, atol=1e-9)
-    root = skeleton.root
-    np.testing.assert_array_equal(limited[:, root], wildly[:, root])
-    still = perform("talk", standard_body(skeleton), seed=1).rotations
-    assert within_ranges(still, skeleton) is still

@@ -21,7 +21,6 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
 from kinefilter.retarget import Neck, Palms
-from kinefilter.retarget.orientation import within_ranges
 
 from .feet import PLANTED
 from .smooth import smooth
@@ -119,22 +118,6 @@ class AimHands(_Aim):
         if chains.has_thumbs:
             twist = chains.twist(*turn(*chains.thumbs(*joints, hands)))
         draft.positions, draft.rotations = chains.posed(*joints[:2], hands, twist)
-
-
-class Ranges(Stage):
-    """Stage that keeps joints within their ranges of motion."""
-
-    name = "ranges"
-    local = True
-    in_parts = False  # rotations keep their sign across gaps
-
-    def step(self, draft: Draft) -> None:
-        """No-op: live, the limits of the simulated joints have to do."""
-
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Turn segments back that are bent too far."""
-        draft.rotations = within_ranges(draft.rotations, draft.skeleton)
-        draft.posed = posed(draft)
 
 
 def _weights(draft: Draft) -> Array:
