@@ -267,15 +267,20 @@ class FourierRidge(LearnedCorrector):
             moved = self._chain @ bones
         near = _ramp(found.similar[..., 1], _FAR, _NEAR)
         turn = near * _turn(found.toward, float(self.turn_share_))
+        if turn.any():
+            self._turn_away(moved, turn, found.toward[..., 0])
+        confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
+        return Correction(moved, None, confidence, found.similar[..., 0])
+
+    def _turn_away(self, moved: Array, turn: Array, across: Array) -> None:
+        """Turn hips, shoulders and the foot behind the body, in place."""
         for pair in self._pairs:
             middle = moved[..., pair, :].mean(axis=-2)
             moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
         for foot, side in self._feet:
-            far = np.where(side * found.toward[..., 0] < 0.0, turn, 0.0)
+            far = np.where(side * across < 0.0, turn, 0.0)
             ankle = moved[..., self._parents[foot[0]], :]
             moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
-        confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(moved, None, confidence, found.similar[..., 0])
 
 
 class _Offsets(NamedTuple):
