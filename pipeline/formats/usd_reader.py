@@ -70,7 +70,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         if skeleton is None:
             first = ", ".join(names[:3])[:60]
             wrong = f"its skeleton ({first}, ...) is not one of kinefilter's own"
-            raise InputError(f"{path}: {wrong}; write it without --rig, or as .npz")
+            raise InputError(f"{path}: {wrong}; write it without --rig")
         character = stage.GetPrimAtPath(CHARACTER)
         rated = character.GetAttribute("kinefilter:reliability")
         if rated and (frames := set(rated.GetTimeSamples())):
