@@ -162,3 +162,8 @@ def continuous(q: ArrayLike) -> Array:
     turned = np.vecdot(signed[1:], signed[:-1]) < 0.0
     signed[1:] *= np.cumprod(np.where(turned, -1.0, 1.0), axis=0)[..., None]
     return signed
+
+
+def wrapped(angles: ArrayLike) -> Array:
+    """Return angles [rad] in [-pi, pi)."""
+    return np.asarray((np.asarray(angles) + np.pi) % (2.0 * np.pi) - np.pi)

@@ -24,6 +24,7 @@ from kinefilter.characters.rotations import (
     multiply,
     rotate,
     slerp,
+    wrapped,
 )
 
 from .bent_limb import bent_limb, rejection, shortage
@@ -252,7 +253,7 @@ def angle_about(axis: Array, rotations: Array) -> Array:
     It lies between -pi and pi; the rest of the rotation is about a perpendicular axis.
     """
     half = np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0])
-    return np.asarray((2.0 * half + np.pi) % (2.0 * np.pi) - np.pi)
+    return wrapped(2.0 * half)
 
 
 def twisted(

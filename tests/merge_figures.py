@@ -18,7 +18,7 @@ from rich.table import Table
 from kinefilter.characters import InputError
 from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.lab.two_views import LIMBS, Session, find_sessions
+from kinefilter.pipeline.lab.view_sessions import LIMBS, Session, find_sessions
 from kinefilter.pipeline.merge import Merged, merge
 
 _ANGLES = {"parallel": 0.0, "45deg": 45.0, "90deg": 90.0}

@@ -28,7 +28,7 @@ from kinefilter.characters import KINECT_V2, Body, InputError, Motion
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.lab.two_views import find_sessions
+from kinefilter.pipeline.lab.view_sessions import find_sessions
 from kinefilter.pipeline.merge import merge
 from kinefilter.pipeline.people import Track, people_of
 from kinefilter.pipeline.reliability import segment_lengths

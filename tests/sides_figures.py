@@ -23,7 +23,7 @@ from kinefilter.characters.arrays import Flags
 from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.failures.sides import root_velocity, swapped_frames
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.lab.two_views import (
+from kinefilter.pipeline.lab.view_sessions import (
     Session,
     Views,
     find_sessions,

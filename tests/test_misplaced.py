@@ -14,7 +14,7 @@ from kinefilter.characters import KINECT_V2, Take, standard_body
 from kinefilter.pipeline.lab import misplaced_lessons
 from kinefilter.pipeline.lab.misplaced import FEATURES, describe_limbs, misplaced
 from kinefilter.pipeline.lab.misplaced_lessons import fit, learn_misplaced, lessons
-from kinefilter.pipeline.lab.two_views import find_sessions
+from kinefilter.pipeline.lab.view_sessions import find_sessions
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import Sensor, in_sensor_frame
 

@@ -14,7 +14,7 @@ from skeletons import every_skeleton
 from kinefilter.characters import KINECT_V2, Skeleton, State, Take
 from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
-from kinefilter.pipeline.lab.two_views import find_sessions
+from kinefilter.pipeline.lab.view_sessions import find_sessions
 from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.scenes.library import perform, random_body
 

@@ -18,7 +18,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab import training, two_views
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
-from kinefilter.pipeline.lab.two_views import LIMBS
+from kinefilter.pipeline.lab.view_sessions import LIMBS, find_sessions
 from kinefilter.pipeline.workers import workers
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
@@ -72,7 +72,7 @@ def test_two_views_of_one_motion_agree(session: list[str], tmp_path: Path) -> No
 @recorded
 def test_a_trunk_beside_the_sensor_turns_as_the_sensor_in_front_sees_it() -> None:
     """The one beside it shows it turned toward itself."""
-    sessions = two_views.find_sessions([DATA / "two-kinects" / "p10_90deg_steps"], None)
+    sessions = find_sessions([DATA / "two-kinects" / "p10_90deg_steps"], None)
     methods = ["none", "default"]
     (found,) = two_views.compare_views(sessions, methods, physics=False)["sessions"]
     none, default = (found["rows"][method]["trunk"]["all"] for method in methods)

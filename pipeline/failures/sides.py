@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.rotations import wrapped
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -173,11 +174,6 @@ def _direction(yaw: Array) -> Array:
     return np.stack([np.sin(yaw), np.zeros_like(yaw), np.cos(yaw)], axis=-1)
 
 
-def _wrapped(angle: float) -> float:
-    """Return an angle [rad] in [-pi, pi)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
-
-
 def _distance(points: Array, others: Array, weights: Array) -> Array:
     """Return the mean distance between joints [m] (..., K, 3), 0 if none is known."""
     apart = np.minimum(np.linalg.norm(points - others, axis=-1), _FAR)
@@ -289,11 +285,11 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
         yaw = np.interp(take.time, take.time[known], np.unwrap(yaw[known]))
     even = yaw.copy()
     for change in np.flatnonzero(np.diff(frames)).tolist():
-        if abs(_wrapped(even[change + 1] - even[change])) > _JUMP:
+        if abs(wrapped(even[change + 1] - even[change])) > _JUMP:
             turn = _around(take.time, change, _EVENLY)
             ends = [turn.start, turn.stop - 1]
             first, last = even[ends]
-            way = [first, first + _wrapped(last - first)]  # never the long way around
+            way = [first, first + wrapped(last - first)]  # never the long way around
             even[turn] = np.interp(take.time[turn], take.time[ends], way)
     turned = known & (np.abs(even - yaw) > 1e-9)
     before, after = (HeadingFrame(root[turned], way[turned]) for way in (yaw, even))

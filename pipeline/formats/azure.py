@@ -25,6 +25,7 @@ import numpy as np
 from kinefilter.characters import KINECT_V2, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import check_order
+from kinefilter.characters.rotations import wrapped
 from kinefilter.retarget import find_yaw
 
 from .files import array_of, list_in, number_in, read_json
@@ -135,7 +136,7 @@ def _faces_ahead(take: Take) -> bool:
         return True
     yaw = find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
     apart = np.arctan2(take.face[:, 0], take.face[:, 2]) - yaw
-    known = np.abs(np.angle(np.exp(1j * apart[np.isfinite(apart)])))
+    known = np.abs(wrapped(apart[np.isfinite(apart)]))
     return not len(known) or float(np.median(known)) < _ASIDE
 
 

@@ -23,6 +23,7 @@ from kinefilter.characters.rotations import (
     about_z,
     multiply,
     rotate,
+    wrapped,
 )
 from kinefilter.retarget.target_rig import chained
 
@@ -322,8 +323,7 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
     other = angles * [1.0, -1.0, 1.0] + np.pi
     # Switching triples costs the same whichever one the frame before has, so the
     # choice is the parity of the switches so far.
-    turns = np.stack([angles[1:], other[1:]]) - angles[:-1]
-    wrapped = (turns + np.pi) % (2.0 * np.pi) - np.pi
-    stay, switch = np.sum(wrapped**2, axis=-1)
+    turns = wrapped(np.stack([angles[1:], other[1:]]) - angles[:-1])
+    stay, switch = np.sum(turns**2, axis=-1)
     switched = np.concatenate([[False], np.cumsum(switch < stay) % 2 == 1])
     return np.unwrap(np.where(switched[:, None], other, angles), axis=0)

@@ -16,7 +16,8 @@ from sklearn.linear_model import LogisticRegression
 from kinefilter.characters.arrays import Array, Flags
 
 from .misplaced import FEATURES, PARTS, describe_limbs
-from .two_views import FAR, LIMBS, Session, away_from, find_sessions, read_views
+from .two_views import FAR, away_from
+from .view_sessions import LIMBS, Session, find_sessions, read_views
 
 _INVERSE_PENALTY = 0.1  # C of the regression
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.failures.sides import CheapestPath
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -39,12 +40,8 @@ class Facing(CheapestPath):
         ``yaws`` are the headings in each sensor [rad], without swapped sides, NaN where
         it sees no one, and ``angles`` the directions to each sensor [rad], both (S,).
         """
-        turning = _wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
-        errors = _wrapped(yaws[:, None] - _GRID) / _TOLERANCE
+        turning = wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
+        errors = wrapped(yaws[:, None] - _GRID) / _TOLERANCE
         views = np.cos(angles[:, None] - _GRID) ** 2
         costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=0)
         return self._next(turning**2, costs)
-
-
-def _wrapped(angles: Array) -> Array:
-    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)

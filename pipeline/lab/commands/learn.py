@@ -148,7 +148,7 @@ class Train:
         """Train the method and write the model."""
         from kinefilter.pipeline.lab.simulation import pairs_with_props, simulated_pairs
         from kinefilter.pipeline.lab.training import teach, training_set
-        from kinefilter.pipeline.lab.two_views import find_sessions, view_pairs
+        from kinefilter.pipeline.lab.view_sessions import find_sessions, view_pairs
         from kinefilter.pipeline.models import Model, save_model
 
         chosen = None if self.preset else self.method

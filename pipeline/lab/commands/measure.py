@@ -212,8 +212,9 @@ class Evaluate:
 
     def _views(self) -> tuple[dict[str, Any], Table]:
         from kinefilter.pipeline.lab import two_views
+        from kinefilter.pipeline.lab.view_sessions import find_sessions
 
-        sessions = two_views.find_sessions(self.views, self.sync)
+        sessions = find_sessions(self.views, self.sync)
         with progress_bars() as progress:
             figures = two_views.compare_views(
                 sessions,

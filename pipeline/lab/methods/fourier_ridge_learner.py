@@ -13,6 +13,7 @@ from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 
 from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array, Indices, Singles
+from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge, turned_away
 from kinefilter.pipeline.correct.posture_features import Part, PostureFeatures
@@ -327,7 +328,7 @@ def _turn_share(views: TrainingSet) -> float:
         find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)
         for places in (views.truth, views.positions)
     ]
-    turn = np.angle(np.exp(1j * (yaws[0] - yaws[1])))
+    turn = wrapped(yaws[0] - yaws[1])
     known = np.isfinite(turn) & (shown != 0.0)
     if not known.any():
         return 0.0
