@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V1, Skeleton, State, standard_body
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, standard_body
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import (
     SENSORS,
@@ -24,6 +24,7 @@ from kinefilter.scenes.sensor import (
     sample_take,
 )
 from kinefilter.scenes.sensor.tracker_errors import (
+    TURNED,
     error_mixing,
     error_scales,
     joint_offsets,
@@ -195,6 +196,26 @@ def test_behind_is_where_the_sensor_is_not_and_not_a_direction_of_the_room(
     assert tracked.sum() > 10
     expected = truth[:, KINECT_V1.mirror] if mirrored else truth
     np.testing.assert_allclose(take.positions[tracked], expected[tracked], atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 40, 75, -40, 90, 140, -140, 170])
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2], ids=["v1", "v2"])
+def test_kinect_v2_shows_trunks_turned_toward_itself(
+    skeleton: Skeleton, degrees: int
+) -> None:
+    act = posed(body=standard_body(skeleton), yaw=np.radians(degrees))
+    take = observe(act, seed=0, sensor=EXACT, errors=replace(NO_ERRORS, trunk_turn=0.4))
+    hips, shoulders = (
+        np.subtract(*take.positions[0, skeleton.sides(part)[::-1]])
+        for part in ("Hip", "Shoulder")
+    )
+    shown = np.arctan2(-hips[2], hips[0])  # +x is to the right of who faces it
+    assert np.arctan2(-shoulders[2], shoulders[0]) == pytest.approx(shown)
+    # From behind, the back is taken for the front.
+    from_sensor = shown - np.pi * np.round(shown / np.pi)
+    beyond = np.maximum(abs(from_sensor) - TURNED, 0.0) * np.sign(from_sensor)
+    added = 0.0 if skeleton == KINECT_V1 or abs(degrees) == 90 else 0.4 * beyond
+    assert np.degrees(shown + added) == pytest.approx(degrees, abs=1e-9)
 
 
 def test_limbs_that_cross_in_the_image_are_swapped_now_and_then() -> None:

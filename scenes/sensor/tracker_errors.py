@@ -2,7 +2,8 @@
 
 Each error has a cause: the tracker's own definition of joints, surfaces that are partly
 hidden or foreshortened, postures the tracker was not trained on, its wobble, motion
-during the exposure, noise of the depth image, and props taken for limbs.
+during the exposure, noise of the depth image, props taken for limbs, and people seen
+from the side.
 
 A tracker's joints are not the anatomical joint centers. Their offset from these turns
 with the segments that meet at the joint, so each constant offset has two parts, one
@@ -20,14 +21,16 @@ import numpy as np
 from numpy.random import Generator
 from scipy.signal import lfilter
 
-from kinefilter.characters import STANDARD_HEIGHT, Motion, Skeleton
+from kinefilter.characters import KINECT_V2, STANDARD_HEIGHT, Motion, Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import rotate, unit
+from kinefilter.characters.rotations import about_y, rotate, unit
 
 from .geometry import Sensor, in_world_frame
 from .visibility import Sight, rest_front
 
 _FEATURES = 96  # random cosines: enough to cover all directions of posture
+TURNED = 0.2  # rad from the sensor up to which Kinect v2 shows trunks as they are
+_SIDE_ON = 0.2  # rad around a right angle in which it takes fronts for backs
 _WARM_UP = 12.0  # time constants before the take, so that it starts in the steady state
 V1_NAMES = {
     "SpineBase": "HipCenter",
@@ -108,6 +111,10 @@ class TrackerErrors:
     """Mean and standard deviation of a measurement's lag behind its time stamp [s]."""
     grain: float = 5.0
     """Number of neighboring pixels that share one depth error."""
+    trunk_turn: float = 0.41
+    """How much farther people have turned than Kinect v2 shows hips, shoulders and the
+    foot behind the body, as a share of the angle shown beyond ``TURNED``. From people
+    in front of two sensors (``turn_share_`` of the learned correction)."""
     prop: float = 0.5
     """Share of the way that a joint moves toward the surface of a prop that fills all
     its surroundings. A guess."""
@@ -206,7 +213,7 @@ def with_position_errors(
         late = errors.blur * (1.0 + slow_noise((*truth.shape[:2], 1), 0.1 * fps, rng))
         away -= late * velocity
     away += _pixel_noise(motion, sight, sensor, errors, rng)
-    return np.asarray(truth + away)
+    return _turned_toward(truth + away, motion, sensor, errors)
 
 
 def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
@@ -219,6 +226,37 @@ def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
     after = [c[0] if c else j for j, c in enumerate(skeleton.children)]
     turn = motion.rotations
     return rotate(turn, offsets[0]) + rotate(turn[:, after], offsets[1])
+
+
+def _turned_toward(
+    placed: Array, motion: Motion, sensor: Sensor, errors: TrackerErrors
+) -> Array:
+    """Return the joints (T, J, 3) with the trunk turned toward a Kinect v2.
+
+    Other sensors have not been measured.
+    """
+    skeleton, root = motion.skeleton, motion.skeleton.root
+    if skeleton != KINECT_V2:
+        return placed
+    to_sensor = in_world_frame(np.zeros(3), sensor) - motion.positions[:, root]
+    left = rotate(motion.rotations[:, root], np.array([1.0, 0.0, 0.0]))
+    across = np.sum(left[:, [0, 2]] * to_sensor[:, [0, 2]], axis=1)
+    ahead = left[:, 0] * to_sensor[:, 2] - left[:, 2] * to_sensor[:, 0]
+    angle = np.arctan2(np.abs(across), np.abs(ahead))
+    turn = np.maximum(angle - TURNED, 0.0) * (1.0 - 1.0 / (1.0 + errors.trunk_turn))
+    turn *= np.sign(across) * np.sign(ahead)
+    turn *= np.minimum((np.pi / 2.0 - angle) / _SIDE_ON, 1.0)
+    turned = placed.copy()
+    for pair in (list(skeleton.sides("Shoulder")), list(skeleton.sides("Hip"))):
+        middle = placed[:, pair].mean(axis=1, keepdims=True)
+        turned[:, pair] = middle + rotate(
+            about_y(turn)[:, None], placed[:, pair] - middle
+        )
+    for foot, side in zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True):
+        ankle = placed[:, skeleton.parents[foot]]
+        far = about_y(np.where(side * across < 0.0, turn, 0.0))
+        turned[:, foot] = ankle + rotate(far, placed[:, foot] - ankle)
+    return turned
 
 
 def _posture_error(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
