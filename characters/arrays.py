@@ -1,7 +1,5 @@
 """Array types, checks of arrays that users pass, and read-only arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import fields
 from types import UnionType

@@ -6,8 +6,6 @@ radii of the humanoid's segments and proportions the stature; the rest is by eye
 the breadths of chest and hips in Winter 2009, figure 4.1, in mind.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

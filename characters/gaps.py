@@ -1,7 +1,5 @@
 """Long gaps: intervals without a frame that no stage bridges."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

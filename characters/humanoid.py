@@ -9,8 +9,6 @@ In MuJoCo's world, z is up and the character faces +x; scenes, physics and drawi
 it. ``to_mujoco`` and ``from_mujoco`` convert.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

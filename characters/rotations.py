@@ -5,8 +5,6 @@ Functions compose as in algebra: ``rotate(multiply(a, b), v)`` equals
 overhead of scipy's Rotation matters; elsewhere, scipy converts whole arrays.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

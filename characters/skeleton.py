@@ -1,7 +1,5 @@
 """Skeletons of the sensors: joint names, hierarchy and mirror pairs."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cached_property

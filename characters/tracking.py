@@ -1,7 +1,5 @@
 """Gains and bounds of the forces that pull the humanoid to its target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Literal
 

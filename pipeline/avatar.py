@@ -1,7 +1,5 @@
 """A character that follows a Kinect frame by frame, for games."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks of the frames and takes that are given to the cleaner."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

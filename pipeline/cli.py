@@ -1,7 +1,5 @@
 """The command line: finds the command, and turns errors into exit codes."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

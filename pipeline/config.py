@@ -1,7 +1,5 @@
 """Settings of cleaning; each field's docstring is also the help of its option."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias

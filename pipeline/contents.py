@@ -1,7 +1,5 @@
 """The contents of files that kinefilter can read, for ``kinefilter info``."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter

@@ -5,8 +5,6 @@ other; farther away nothing changes. Whatever is measured over the whole take, s
 the body and the floor, is taken from the clip without edits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 

@@ -23,8 +23,6 @@ An edits file is TOML; times are in seconds after the take's first frame::
     position = [0.31, 1.42, 0.2]
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Optional packages that only some commands need."""
 
-from __future__ import annotations
-
 import importlib.util
 
 from kinefilter.characters import InputError

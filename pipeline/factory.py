@@ -1,7 +1,5 @@
 """Builds the correction method that a config asks for."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 from kinefilter.characters import InputError, Skeleton

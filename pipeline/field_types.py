@@ -1,7 +1,5 @@
 """Conversion of settings to the types their fields are annotated with."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import fields, is_dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Addresses that are only reachable from this machine."""
 
-from __future__ import annotations
-
 import ipaddress
 import re
 

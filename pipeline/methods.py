@@ -3,8 +3,6 @@
 To add one, write a file and add a line here: command line and tests use these tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module

@@ -7,8 +7,6 @@ nothing to measure, such as the jitter of a take without four evenly spaced fram
 NaN: null in JSON, a dash in tables. No metric looks across a long gap.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Model files, which hold learned correctors as plain arrays."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache

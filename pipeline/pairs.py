@@ -1,7 +1,5 @@
 """Pairs of Kinect and mocap: a take and the ground truth of its frames."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

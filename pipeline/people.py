@@ -8,8 +8,6 @@ The cost is the negative log likelihood of three things: where the person would 
 then, their segment lengths, and where other sensors see them at the same time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

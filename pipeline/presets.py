@@ -5,8 +5,6 @@ A preset is data: a method and a scorer with their constants, and the stages of
 ``clean`` departs from the papers, with the benefit of each departure.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 The default scorer, after Shum 2013, section IV; ``pipeline.methods`` names the others.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@
 live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The summary of ``clean``: tables for people, JSON for programs."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

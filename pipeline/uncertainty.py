@@ -6,8 +6,6 @@ and after. The weights were trained on recordings of people with marker mocap be
 them, none of whom the corrector was trained on (``pipeline.lab.uncertainty_lessons``).
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

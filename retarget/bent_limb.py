@@ -1,7 +1,5 @@
 """Inverse kinematics of a limb with two bones."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -7,8 +7,6 @@ length: in a person of ordinary proportions, a wrong elbow then leaves the wrist
 it was measured. A chain of bones of fixed length would not.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

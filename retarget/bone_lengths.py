@@ -1,7 +1,5 @@
 """Smallest moves of the joints that give every bone its length."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body, InputError

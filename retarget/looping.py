@@ -1,7 +1,5 @@
 """Looping clips: the end blends into the beginning and planted feet stay in place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

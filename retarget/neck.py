@@ -1,7 +1,5 @@
 """Direction of the head from all joints above the shoulders, and of the face."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body

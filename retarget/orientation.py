@@ -1,7 +1,5 @@
 """Segment rotations from joint positions, including twist."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Directions of hands and twist of forearms, from all joints beyond the wrists."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body

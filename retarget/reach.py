@@ -1,7 +1,5 @@
 """Hands moved elsewhere: the arms bend to suit, and the trunk follows if it must."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body

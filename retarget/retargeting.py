@@ -7,8 +7,6 @@ Trunk, shoulders and feet have a different shape on every skeleton, so all rest 
 count as upright and flat there, and only headings differ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

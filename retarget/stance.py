@@ -1,7 +1,5 @@
 """Moves that hold the planted feet of another skeleton in place."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags, runs

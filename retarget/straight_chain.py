@@ -5,8 +5,6 @@ shows where it points. Together they do: joints count by their distance from the
 of the chain, and where none is reliable, the chain continues the segment before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rest poses of other skeletons, and the parts of the body in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

@@ -4,8 +4,6 @@ A scene is MJCF with z up; the person is at the origin and faces +x. Bodies with
 joint are movable props; everything else is fixed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

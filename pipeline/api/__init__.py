@@ -3,8 +3,6 @@
 This module offers what most users need, and imports it on first use.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

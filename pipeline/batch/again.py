@@ -1,7 +1,5 @@
 """Cleaning one take of a batch again, with edits made since."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 

@@ -4,8 +4,6 @@ Workers of a cluster may join and leave. Anyone who can reach a Dask scheduler c
 code on its workers, so keep it on a private network.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Summary of a batch for the terminal: counts, speed, worst and failed takes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from rich.console import Group, RenderableType

@@ -1,7 +1,5 @@
 """Planning a batch: the files that may be takes, and a job for each clip."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections import Counter

@@ -1,7 +1,5 @@
 """Cleaning many takes, each only once, even if runs are interrupted."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, nullcontext, suppress

@@ -7,8 +7,6 @@ for one per sensor. ``{sensor}`` matches as little as possible, or one of the gi
 names.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ fsspec (``s3://``, ``gs://``, ``file://`` and others) comes with the extra ``clu
 and is imported only when needed.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

@@ -4,8 +4,6 @@ Workers keep cleaners, with their databases and models, for later takes; correct
 reset for each take.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

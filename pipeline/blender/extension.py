@@ -1,7 +1,5 @@
 """The zip that Blender installs: manifest, add-on, and its lists of rigs and colors."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """The commands ``info``, ``character`` and ``blender``."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

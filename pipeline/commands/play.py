@@ -1,7 +1,5 @@
 """The command ``play``."""
 
-from __future__ import annotations
-
 import webbrowser
 from contextlib import suppress
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Postures can be memory-mapped: only one block of them and those kept are in memory.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Also joints that are too far away from their body.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median_low
 

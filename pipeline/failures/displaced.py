@@ -3,8 +3,6 @@
 The distance by which a joint is moved detects wrong joints better than any reliability.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limbs in impossible postures, and limbs that jump from one place to another."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -9,8 +9,6 @@ live, the cheapest path so far. A single sensor may have arms and legs change si
 different times.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import replace

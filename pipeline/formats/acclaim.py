@@ -7,8 +7,6 @@ children. An AMC has the number of each frame and a line of values for each bone
 moves. ``axis`` rotates a bone's own axes, about which its motion turns, x first.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 

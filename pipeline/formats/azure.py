@@ -14,8 +14,6 @@ axes only in a figure, and those of hands are reported to turn at random
 (microsoft/Azure-Kinect-Sensor-SDK, issues 1414 and 1528).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

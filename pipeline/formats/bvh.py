@@ -3,8 +3,6 @@
 Any skeleton and channel order can be read.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from dataclasses import dataclass, field, replace

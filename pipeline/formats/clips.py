@@ -1,7 +1,5 @@
 """Writing and reading clips by file extension, on our own skeleton or another rig."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

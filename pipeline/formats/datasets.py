@@ -14,8 +14,6 @@ coordinates, ``u v d c``, hold pixels and raw depth: without the parameters of t
 camera's lens they are not positions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import chain
 

@@ -1,7 +1,5 @@
 """Settings for writing clips, what they do to a clip, and what all formats share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from math import inf
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Writing FBX: the user's own Blender, the only open writer, converts a GLB."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

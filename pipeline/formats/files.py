@@ -1,7 +1,5 @@
 """Files: written whole or not at all, text that may be gzipped, JSON and TOML."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -5,8 +5,6 @@ viewers do not need is in the animation's ``extras`` (see CONVENTIONS.md). VRMA 
 on VRM's skeleton, with a table of its bones (VRMC_vrm_animation 1.0).
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

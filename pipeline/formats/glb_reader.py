@@ -1,7 +1,5 @@
 """Reading clips that ``glb`` wrote."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

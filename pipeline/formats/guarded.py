@@ -5,8 +5,6 @@ make them ask for any amount of memory, or never return. They run in a process o
 own, which is killed above its limits, and hand over plain arrays.
 """
 
-from __future__ import annotations
-
 import importlib
 import io
 import os

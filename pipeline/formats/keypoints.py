@@ -5,8 +5,6 @@ These are arrays (npy), FreeMoCap's CSV, and the JSON of OpenPose (``--write_jso
 without time stamps are read at 30 frames a second (``recording.at_rate``).
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import os

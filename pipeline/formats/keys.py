@@ -4,8 +4,6 @@ Each curve is a cubic spline with zero slope at both ends. Blender ignores the t
 in glTF, but the automatic handles that it gives to keys make the same curves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple

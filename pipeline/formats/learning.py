@@ -3,8 +3,6 @@
 AMASS: Mahmood et al., AMASS: Archive of Motion Capture as Surface Shapes, ICCV 2019.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

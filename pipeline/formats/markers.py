@@ -6,8 +6,6 @@ tabs: type and name of the file; names of rates and units; their values; ``Frame
 comes a row for each frame, with empty cells for missing points.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from itertools import islice

@@ -1,7 +1,5 @@
 """Arrays in npz files, read only up to the size that the file has, and clips."""
 
-from __future__ import annotations
-
 import os
 import warnings
 import zipfile

@@ -1,7 +1,5 @@
 """Numbers, counts and names in a form that JSON, tables and terminals can hold."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Recordings: the takes of all people in a file, and mocap, a skeleton in motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

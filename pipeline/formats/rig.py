@@ -1,7 +1,5 @@
 """Skeletons as animation formats need them, with constant bone lengths."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

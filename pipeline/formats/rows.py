@@ -1,7 +1,5 @@
 """Readers of numbers in text files: fast on valid rows, precise about wrong ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass

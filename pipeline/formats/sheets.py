@@ -4,8 +4,6 @@ In kinefilter's, joints are in any order and states are optional. If no state of
 is 2, then 1 only marks a joint as present (Fothergill et al. 2012, CHI).
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence

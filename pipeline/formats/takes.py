@@ -2,8 +2,6 @@
 
 # ruff: noqa: A002 - "format" is the name that users know
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

@@ -13,8 +13,6 @@ has no sample without physics. ``sensorTilt``, ``floorHeight`` and ``sensorRoll`
 left out where unknown, or if there was no roll.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Static parts of a USD clip: the skeleton in T-pose, its mesh, and the props."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path

@@ -4,8 +4,6 @@ Files from outside are read in a separate process (``guarded``), which calls the
 functions here that return arrays by name.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Time per frame of every stage of cleaning, and whole takes per second."""
 
-from __future__ import annotations
-
 from math import prod
 from pathlib import Path
 from time import perf_counter

@@ -1,7 +1,5 @@
 """Builds posture databases from mocap files, pairs, or scripted motions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

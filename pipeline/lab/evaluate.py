@@ -1,7 +1,5 @@
 """Accuracy of methods against marker mocap, on unseen people or repetitions."""
 
-from __future__ import annotations
-
 import multiprocessing
 import re
 from collections.abc import Iterator, Sequence

@@ -5,8 +5,6 @@ joints are compared with those of the take cleaned with nothing hidden, and with
 mocap; simple guesses serve as baselines.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Iterator, Sequence

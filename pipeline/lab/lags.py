@@ -5,8 +5,6 @@ before the recordings are aligned in space. Their correlation is maximized on a 
 then the lag is refined by minimizing the motion that one rigid transform leaves.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hides a limb in a take, and fills the gap with simple baselines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal

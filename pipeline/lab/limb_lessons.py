@@ -7,8 +7,6 @@ then prints, for each person and each third of the movements in the pairs, the e
 networks trained without them, in percent of the errors without networks.
 """
 
-from __future__ import annotations
-
 import sys
 import zlib
 from collections.abc import Iterable, Iterator, Sequence

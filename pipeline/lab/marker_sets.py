@@ -4,8 +4,6 @@
 format. Mocap that contains joints, such as BVH and AMC, needs no table.
 """
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from collections.abc import Mapping

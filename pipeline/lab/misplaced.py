@@ -8,8 +8,6 @@ scores rank joints and are not calibrated: errors are much rarer in frontal view
 stage of cleaning uses them.
 """
 
-from __future__ import annotations
-
 import tomllib
 from importlib import resources
 

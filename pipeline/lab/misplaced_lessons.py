@@ -4,8 +4,6 @@
 weights of ``misplaced``; FOLDER holds sessions as for ``evaluate --views``.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

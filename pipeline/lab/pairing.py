@@ -6,8 +6,6 @@ joints to the take's. All takes of a session share that transform, because neith
 sensor nor the mocap system moved; they also share the clock offset if their lags agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The results of pairing takes with mocap as JSON, a table, and a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

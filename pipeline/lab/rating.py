@@ -6,8 +6,6 @@ another, and graded from 1 to 9 how accurate each was. Here a stick figure repla
 video, and by default two systems are shown side by side.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import Counter

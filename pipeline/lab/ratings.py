@@ -7,8 +7,6 @@ be normal. The p-values are corrected for multiple testing after Holm 1979 (A si
 sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from itertools import combinations, permutations

@@ -1,7 +1,5 @@
 """Recorded pairs of Kinect and mocap, and mocap as performances for virtual sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

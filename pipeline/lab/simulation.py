@@ -1,7 +1,5 @@
 """Simulated takes with ground truth: performances recorded by virtual Kinects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

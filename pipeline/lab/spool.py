@@ -1,7 +1,5 @@
 """Arrays larger than memory, written to a file on disk and read memory-mapped."""
 
-from __future__ import annotations
-
 import tempfile
 from typing import Any
 

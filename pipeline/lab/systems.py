@@ -1,7 +1,5 @@
 """The systems that ``evaluate`` compares: methods and presets with parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

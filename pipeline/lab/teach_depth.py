@@ -8,8 +8,6 @@ them performed by simulated people. The accuracy is measured on people and on CM
 subjects that are not in the training data.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

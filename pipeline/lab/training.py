@@ -1,7 +1,5 @@
 """Training sets: pairs of Kinect and mocap on the standard body; and what learns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any

@@ -6,8 +6,6 @@ subtracted, because it depends on the direction from which a sensor sees the joi
 heading of the trunk is compared as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ weights of ``uncertainty``. For each person it prints the share of coordinates w
 the uncertainty and within 1.96 times the uncertainty, by weights trained without them.
 """
 
-from __future__ import annotations
-
 import sys
 import zlib
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ The front sensor, which the person faces, sees limbs that the side sensor has to
 Frames are matched by the recording computer's clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tasks beside a block of code, and standard input and output without blocking."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import threading

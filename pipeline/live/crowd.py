@@ -1,7 +1,5 @@
 """The people in view, how each is followed, and whose frame gets the next pose."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple

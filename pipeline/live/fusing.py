@@ -5,8 +5,6 @@ of each sensor, settles left and right among the sensors, corrects the joints of
 sensor separately, since methods depend on where it stands, and fuses them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body

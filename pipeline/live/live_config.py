@@ -1,7 +1,5 @@
 """Settings of a live session."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path

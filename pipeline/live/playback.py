@@ -1,7 +1,5 @@
 """Sends a recorded take as a sensor would, at its own time stamps."""
 
-from __future__ import annotations
-
 import asyncio
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence

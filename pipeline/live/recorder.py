@@ -1,7 +1,5 @@
 """Records the raw frames as takes that ``clean`` reads, one file per body."""
 
-from __future__ import annotations
-
 import glob
 import threading
 from collections import deque

@@ -6,8 +6,6 @@ fused before two answers in a row agree. If a clock jumps, it is set from the ar
 times of its frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import defaultdict, deque
 from collections.abc import Sequence

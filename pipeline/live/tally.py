@@ -1,7 +1,5 @@
 """Counts and latencies of a live session, in a few kilobytes however long it runs."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from enum import StrEnum
 from typing import Any

@@ -10,8 +10,6 @@ Packing OSC messages takes half a millisecond, so they are packed once; overwrit
 their floats for each pose takes a tenth of that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

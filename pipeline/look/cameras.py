@@ -1,7 +1,5 @@
 """Cameras for a motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

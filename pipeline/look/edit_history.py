@@ -1,7 +1,5 @@
 """The edits of a motion, with undo and redo."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

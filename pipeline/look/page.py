@@ -3,8 +3,6 @@
 A report is one HTML file that needs no network.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import json

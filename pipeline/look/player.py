@@ -1,7 +1,5 @@
 """The page of ``play``: characters to shove, throw balls at, drag and let go."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count

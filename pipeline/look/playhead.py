@@ -1,7 +1,5 @@
 """The playback position in a motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters.arrays import Array

@@ -1,7 +1,5 @@
 """Pictures over time in the panel of ``view``: curves of a joint, and bars of flags."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -4,8 +4,6 @@ Videos are drawn in parts. Each is encoded separately and starts with a keyframe
 that parts from several processes can be joined in one file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction

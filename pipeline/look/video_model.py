@@ -3,8 +3,6 @@
 Nothing is simulated: segments and props are bodies placed where the clip has them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

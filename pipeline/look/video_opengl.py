@@ -3,8 +3,6 @@
 MuJoCo chooses its OpenGL on import, and a process can load only one kind.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The page of ``view``: a motion to play, look at from all sides, and edit."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the pages of ``view`` and ``play`` share: their panel and a queue of actions."""
 
-from __future__ import annotations
-
 import html
 import queue
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Drawings in the browser's scene: skin, figures, props, contacts and force."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ transform lays the second sensor's trunks onto the first's. How well joints move
 together after that refines the lag, and how the lag changes tells the drift.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Cleans what several sensors recorded of a person into one clip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace

@@ -7,8 +7,6 @@ than they have to: the heading is the cheapest path over all frames (Viterbi 196
 live, the cheapest path so far.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

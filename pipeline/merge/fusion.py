@@ -7,8 +7,6 @@ misplacement of a joint is learned on the way and subtracted. Errors along the l
 sight are no larger than across it, both on UI-PRMD's people and in the virtual Kinect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Lag and clock drift between two recordings of the same movement."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, TypeVar
 
 import numpy as np

@@ -5,8 +5,6 @@ the frame of the first sensor, everyone's tracks are then assigned to people at 
 (``people``): what one sensor's tracker confused, another sensor settles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product

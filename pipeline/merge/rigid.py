@@ -1,7 +1,5 @@
 """Rigid transforms between the frames of two recordings."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

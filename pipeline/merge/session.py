@@ -1,7 +1,5 @@
 """Merges takes that several sensors recorded of one person at the same time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ Relative to chest and forearms, head and hands move slowly and little. So they a
 smoothed there, and more strongly than joints are in the room.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial

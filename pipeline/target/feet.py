@@ -5,8 +5,6 @@ shape (T, J, 3); confidence has shape (T, J); ``stands`` says whether each foot 
 planted, shape (T, 2), left and right.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

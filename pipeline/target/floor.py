@@ -4,8 +4,6 @@ Joint positions [m] have y up and shape (T, J, 3); confidence has shape (T, J);
 ``stands`` says whether each foot is planted, shape (T, 2), left and right.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Body, Clip, Skeleton, Take

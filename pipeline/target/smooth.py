@@ -5,8 +5,6 @@ z|^2. It has no lag, keeps quadratic motion exactly, and bridges values of littl
 (Eilers 2003, A perfect smoother, Anal. Chem. 75).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

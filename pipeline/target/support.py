@@ -7,8 +7,6 @@ and moment of inverse dynamics (Hicks et al. 2015, Is my model good enough?, J. 
 Eng. 137(2)), here from joint positions alone. Props such as chairs carry nothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import nnls
 

@@ -1,7 +1,5 @@
 """The stages that make the target: the motion before physics."""
 
-from __future__ import annotations
-
 from collections import deque
 from statistics import median
 from typing import Any

@@ -7,8 +7,6 @@ left as they are: a straight body that lies shows nothing, so at least one arm h
 hang along the body, which it does not where the arms carry the person.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

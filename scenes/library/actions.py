@@ -1,7 +1,5 @@
 """Scripted motions of the whole body on the spot: squats, kicks, sitting down."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .poses import BOTH, LEFT, RIGHT, Pose, Rng, Score

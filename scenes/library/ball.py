@@ -7,8 +7,6 @@ in a stroke and returns to it in those frames in which a ballistic flight fits t
 motion of the hands best.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 from itertools import pairwise, zip_longest
 from typing import NamedTuple

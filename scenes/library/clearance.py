@@ -5,8 +5,6 @@ would penetrate another part by more than soft tissue allows, the hand is moved 
 shortest way, and the arm follows.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -10,8 +10,6 @@ Optimal Lymph Flow program; the arm movements follow their names and the paper's
 figure 6.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -5,8 +5,6 @@ Timing after Winter 1991, The Biomechanics and Motor Control of Human Gait: stan
 while the root passes over it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Scripted motions of the upper body while the feet stay planted."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters.arrays import Array

@@ -5,8 +5,6 @@ is lifted where the hands are lowest before they rise, and set down where they a
 lowest before they part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import mujoco

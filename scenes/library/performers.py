@@ -5,8 +5,6 @@ and the repetitions within a performance differ. The motions are designed, not r
 ranges of motion are those of healthy adults, and the timing is plausible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from zlib import crc32

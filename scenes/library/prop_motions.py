@@ -4,8 +4,6 @@ There is one for each scene of Shum et al. 2013, table II: a box to lift, a flip
 a basketball, a chair, an office desk. The hands are where the object would be.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90 degrees forw
 elevation, axial rotation (positive inward).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Scripted sports and arts: tai chi, golf, dance, jumps, rolling hands, bent legs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The commands of the lab; like ``pipeline.commands``, they only parse and print."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

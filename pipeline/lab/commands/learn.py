@@ -1,7 +1,5 @@
 """The commands that learn from recordings: ``pair``, ``train`` and ``database``."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

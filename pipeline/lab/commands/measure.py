@@ -1,7 +1,5 @@
 """Commands that measure: ``evaluate``, ``reproduce`` and ``bench``."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args

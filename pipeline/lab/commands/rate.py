@@ -1,7 +1,5 @@
 """The commands of user studies: ``rate`` and ``ratings``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """The command ``simulate``, which records with virtual sensors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Methods that Liu 2016 compares its own with."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Self

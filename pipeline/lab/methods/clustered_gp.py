@@ -5,8 +5,6 @@ Gaussian process regression": standardize the joints, predict with a process tra
 cluster centroids of reliable postures, restore limb lengths, undo the standardization.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, Self
 

@@ -1,7 +1,5 @@
 """Filters over time, as baselines: Butterworth, Savitzky-Golay, Kalman."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, replace

@@ -1,7 +1,5 @@
 """Training of the shipped corrector: ridge regression, people as random effects."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise

@@ -4,8 +4,6 @@ Zhou, Liu, Leung & Shum 2014 and Liu, Zhou, Leung & Shum 2016, eq. 22: the energ
 both papers put around the predictions of their Gaussian processes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal

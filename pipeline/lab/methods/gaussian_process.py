@@ -5,8 +5,6 @@ of Gaussian process models", IEEE TVCG 22(11); Chiang, Chen, Li, Wang & Fu 2017,
 "Kinect joint position denoising by clustered Gaussian process regression".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

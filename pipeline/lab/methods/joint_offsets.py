@@ -8,8 +8,6 @@ left, up and forward of the hips. With only six weights per joint, what is learn
 simulated people carries over to real ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

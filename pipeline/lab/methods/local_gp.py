@@ -7,8 +7,6 @@ liu-figure-3, liu-figure-7 and liu-table-5 vary what the paper varies; liu-table
 compares the method with one process over all samples (full-gp).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -3,8 +3,6 @@
 Liu, Zhou, Leung & Shum 2016: features in section 4.1, the rest in equations 5 to 17.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 

@@ -4,8 +4,6 @@ Wang, Li, Wu, Lai & Yang, "3-D motion recovery via low rank matrix analysis": th
 positions of a take are a low-rank matrix plus a sparse error. Bone lengths change.
 """
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shum 2013 as printed, and methods A and B, which the paper compares it with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training data for learned joint offsets, and how offsets are added to a posture."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Self

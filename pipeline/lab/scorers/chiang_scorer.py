@@ -3,8 +3,6 @@
 It combines Shum's segment lengths with a test for errors that last a single frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ regression for each kind of joint predicts from posture, noise, length errors an
 tracking how likely the joint is to be far off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -6,8 +6,6 @@ close to a cubic, however fast it is. What remains after subtracting the cubic i
 sensor's noise. Noise and length errors together give an estimate of a joint's error.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from kinefilter.characters import Skeleton, State, Term

@@ -7,8 +7,6 @@ figures use recordings where there are any, and simulated people otherwise;
 with the measured ones.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Sequence
 from importlib import resources

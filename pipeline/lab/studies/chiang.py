@@ -1,7 +1,5 @@
 """Chiang 2017, clustered Gaussian process: figures 5 and 7, tables 1, 2 and 3."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import compress, product

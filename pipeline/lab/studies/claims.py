@@ -7,8 +7,6 @@ the figure, or is ``at most`` or ``at least`` that, up to a tolerance, ``within`
 reason is given as ``why``.
 """
 
-from __future__ import annotations
-
 import csv
 import tomllib
 from collections.abc import Collection, Sequence

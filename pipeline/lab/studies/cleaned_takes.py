@@ -1,7 +1,5 @@
 """Quality of the clips that ``clean`` produces with default settings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detection of tracker errors: joints far off, and gross failures."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 

@@ -1,7 +1,5 @@
 """Errors of systems on recorded people with hidden limbs."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Collection, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Mimed lifts of a box in the box scene: does the box go where the hands do?"""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from unittest import mock
 

@@ -1,7 +1,5 @@
 """Liu 2016, local Gaussian processes: tables 2, 3, 4 and 5, figures 3, 7 and 8."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import compress

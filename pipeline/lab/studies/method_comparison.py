@@ -1,7 +1,5 @@
 """Methods and presets against marker mocap: new people and new repetitions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Shum 2013, local PCA: tables I to IV, table V with figure 8."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from time import perf_counter
 from typing import Any

@@ -1,7 +1,5 @@
 """Time per frame, and of nearest-neighbor search in a million postures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from time import perf_counter
 

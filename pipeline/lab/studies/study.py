@@ -1,7 +1,5 @@
 """Input and output of a study: options in, a table and a plot out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ its people from seeds below 10, test takes use seeds from 1000 up, and the train
 of a study seeds that are 500 higher than those of its test takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache

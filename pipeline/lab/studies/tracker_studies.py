@@ -1,7 +1,5 @@
 """The virtual Kinect's two trackers compared (Liu 2016, section 5.4)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The papers' systems on trial: training and test data, errors, joints followed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Wang et al., recovery of takes as low-rank matrices: table I and figure 1."""
 
-from __future__ import annotations
-
 from time import process_time
 
 import numpy as np
