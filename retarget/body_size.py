@@ -107,7 +107,7 @@ class Standardizer:
     def start(self) -> None:
         """Reset the last known root, heading and bones for a new motion."""
         self._root = np.zeros(3)
-        self._yaw = np.array(0.0)
+        self._yaw = np.array(np.nan)
         self._bones = self.body.rest_offsets.copy()
 
     def step(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
@@ -121,11 +121,17 @@ class Standardizer:
         return standard[0], view.at(0)
 
     def steps(self, positions: Array, weights: Array) -> tuple[Array, HeadingFrame]:
-        """Return the next frames, (T, J, 3) and (T, J), as ``step`` one by one."""
+        """Return the next frames, (T, J, 3) and (T, J), as ``step`` one by one.
+
+        But frames before the first heading get that one, which ``step`` cannot know.
+        """
         skeleton = self.body.skeleton
         missing = np.isnan(positions[..., 0])
         root = _filled_forward(positions[:, skeleton.root], self._root)
-        yaw = _filled_forward(find_yaw(positions, weights, skeleton), self._yaw)
+        yaw = find_yaw(positions, weights, skeleton)
+        if np.isnan(self._yaw):
+            self._yaw = next(iter(yaw[~np.isnan(yaw)]), np.array(0.0))
+        yaw = _filled_forward(yaw, self._yaw)
         view = HeadingFrame(root, yaw)
         local = view.remove(positions)
         if missing.any():

@@ -129,6 +129,17 @@ def test_a_wrong_elbow_leaves_the_wrist_where_it_was_on_ordinary_proportions(
     assert np.isfinite(view.yaw)
 
 
+def test_frames_before_the_person_is_seen_face_as_the_first_seen_one() -> None:
+    body = standard_body(KINECT_V2)
+    positions = np.tile(posture(body, 8), (5, 1, 1))
+    weights = np.tile(ones(body), (5, 1))
+    weights[:3] = 0.0  # places that were filled in, with no reliability
+    _, view = Standardizer(body).steps(positions, weights)
+    yaw = find_yaw(positions[4], ones(body), KINECT_V2)
+    assert abs(yaw) > 0.1
+    np.testing.assert_allclose(view.yaw, yaw)
+
+
 @every_skeleton
 def test_missing_joints_stay_missing_and_leave_the_others_alone(
     skeleton: Skeleton,
