@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kinefilter.characters import Body, Origin, Skeleton, State
+from kinefilter.characters import Body, Origin, Skeleton, State, Term
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.retarget import BoneLengths, Standardizer
 
@@ -22,11 +22,11 @@ from .draft import Draft
 from .factory import make_corrector
 from .failures import (
     ImpossibleBodies,
-    distrust,
     find_failures,
+    lost_joints,
     stray_joints,
     unmirrored,
-    without_impossible_bodies,
+    without_lost_joints,
 )
 from .methods import SCORERS, load
 from .progress import Progress
@@ -91,7 +91,7 @@ class Stage(ABC):
 class Failures(Stage):
     """Finds gross tracker failures and repairs them where possible.
 
-    Swapped sides are swapped back; frames with an impossible body are discarded.
+    Swapped sides are swapped back; impossible bodies and limbs are discarded.
     """
 
     name = "failures"
@@ -116,9 +116,7 @@ class Failures(Stage):
         """Find and repair the failures of a take."""
         take = draft.take()
         draft.failures = find_failures(take)
-        repaired = unmirrored(
-            without_impossible_bodies(take, draft.failures), draft.failures
-        )
+        repaired = unmirrored(without_lost_joints(take, draft.failures), draft.failures)
         draft.measured, draft.state = repaired.positions, repaired.state
         draft.face = repaired.face
 
@@ -190,11 +188,12 @@ class Score(Stage):
         draft.reliability, draft.deciding_term, draft.geometry = scores
 
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Score a take, with no reliability for limbs where the tracker failed."""
-        scorer = self._make_scorer(draft.skeleton, draft.reference)
-        scores = distrust(scorer.score(draft.take()), draft.failures, draft.skeleton)
+        """Score a take."""
+        scorer, take = self._make_scorer(draft.skeleton, draft.reference), draft.take()
+        scores = scorer.score(take)
         draft.reliability, draft.geometry = scores.reliability, scores.geometry
-        draft.deciding_term = scores.term
+        lost = lost_joints(draft.failures, take)
+        draft.deciding_term = np.where(lost, np.uint8(Term.FAILURE), scores.term)
 
 
 class Standardize(Stage):

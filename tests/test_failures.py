@@ -17,14 +17,14 @@ from kinefilter.pipeline.failures import (
     Failure,
     FailureKind,
     describe_failures,
-    distrust,
     find_displaced,
     find_failures,
+    lost_joints,
     unmirrored,
+    without_lost_joints,
 )
 from kinefilter.pipeline.failures.limb_failures import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.reliability import Scores
 from kinefilter.pipeline.summary import as_json
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
@@ -179,10 +179,8 @@ def test_dropped_frames_are_no_leaps(motion: str) -> None:
     assert find_failures(slow) == ()
 
 
-def test_only_the_lost_limb_is_distrusted() -> None:
+def test_only_the_lost_limb_is_removed() -> None:
     take = _take("stand_idle", skeleton=KINECT_V2)
-    shape = take.state.shape
-    trusted = Scores(np.ones(shape), np.zeros(shape, np.uint8), np.ones(shape))
     failures = tuple(
         Failure(kind, part, first, first + 9, 0.0, 1.0)
         for kind, part, first in (
@@ -192,17 +190,30 @@ def test_only_the_lost_limb_is_distrusted() -> None:
             (FailureKind.LEAPING, "left leg", 70),
         )
     )
-    doubted = distrust(trusted, failures, KINECT_V2)
-    assert (trusted.reliability == 1.0).all()
-    assert (trusted.geometry == 1.0).all()
     arm = ["ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft", "ThumbLeft"]
     leg = ["KneeRight", "AnkleRight", "FootRight"]
-    expected = np.ones(shape)
-    expected[10:20, [KINECT_V2.index(joint) for joint in arm]] = 0.0
-    expected[30:40, [KINECT_V2.index(joint) for joint in leg]] = 0.0
-    np.testing.assert_array_equal(doubted.reliability, expected)
-    np.testing.assert_array_equal(doubted.geometry, expected)
-    np.testing.assert_array_equal(doubted.term == Term.FAILURE, expected == 0.0)
+    lost = np.zeros(take.state.shape, dtype=bool)
+    lost[10:20, [KINECT_V2.index(joint) for joint in arm]] = True
+    lost[30:40, [KINECT_V2.index(joint) for joint in leg]] = True
+    np.testing.assert_array_equal(lost_joints(failures, take), lost)
+    left = without_lost_joints(take, failures)
+    np.testing.assert_array_equal(left.state == State.NOT_TRACKED, lost)
+
+
+def test_a_lost_limb_goes_on_as_if_it_were_hidden() -> None:
+    take = _take("wave")
+    wrong, index = _broken(take, slice(30, 120)), take.skeleton.index
+    state = take.state.copy()
+    state[30:120, [index("AnkleLeft"), index("FootLeft")]] = State.NOT_TRACKED
+    config = CleanConfig(physics=False)
+    broken, hidden = (
+        clean(t, config).clip for t in (wrong, replace(take, state=state))
+    )
+    ankle = index("AnkleLeft")
+    apart = np.linalg.norm(broken.positions - hidden.positions, axis=2)[:, ankle]
+    assert apart.max() < 0.05
+    assert (broken.reliability[50:100, ankle] == 0.0).all()
+    assert (broken.deciding_term[50:100, ankle] == Term.FAILURE).all()
 
 
 def test_sides_stay_as_recorded_where_a_body_is_head_over_heels() -> None:

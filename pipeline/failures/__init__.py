@@ -14,10 +14,10 @@ from .gross import (
     Failure,
     FailureKind,
     describe_failures,
-    distrust,
     find_failures,
+    lost_joints,
     unmirrored,
-    without_impossible_bodies,
+    without_lost_joints,
 )
 
 __all__ = [
@@ -25,10 +25,10 @@ __all__ = [
     "FailureKind",
     "ImpossibleBodies",
     "describe_failures",
-    "distrust",
     "find_displaced",
     "find_failures",
+    "lost_joints",
     "stray_joints",
     "unmirrored",
-    "without_impossible_bodies",
+    "without_lost_joints",
 ]
