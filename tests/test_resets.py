@@ -12,6 +12,7 @@ from kinefilter.characters import Take, positions_from_rotations
 from kinefilter.characters.rotations import IDENTITY, about_x, about_z
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.physics.resets import bridge_resets
+from kinefilter.pipeline.physics.stuck_limbs import StuckLimbs
 
 ROOT = BODY.skeleton.root
 
@@ -46,6 +47,30 @@ def test_a_clip_shows_the_target_where_a_limb_is_stuck(failed: Take) -> None:
     away = np.linalg.norm(found.clip.positions - found.target, axis=2)
     assert away.max() < 0.1
     assert found.stages["physics"].float_mm < 5.0
+
+
+@pytest.mark.parametrize(
+    ("bent", "elsewhere", "blocked", "stuck"),
+    [
+        (1.2, 0.0, False, True),  # the wrist is 28 cm off
+        (1.2, 0.0, True, False),
+        (0.5, 0.0, False, False),
+        (0.0, 0.5, False, False),
+    ],
+)
+def test_a_hand_that_stays_off_its_target_is_stuck_unless_something_blocks_it(
+    *, bent: float, elsewhere: float, blocked: bool, stuck: bool
+) -> None:
+    root = standing(1)[:, ROOT]
+    wanted = np.tile(IDENTITY, (1, len(BODY.skeleton), 1))
+    turns = wanted.copy()
+    forearm = BODY.skeleton.index("WristLeft")
+    turns[:, [forearm, *BODY.skeleton.descendants(forearm)]] = about_z(bent)
+    pose = positions_from_rotations(turns, root + elsewhere, BODY)[0], turns[0]
+    target = positions_from_rotations(wanted, root, BODY)[0], wanted[0]
+    limbs = StuckLimbs(BODY)
+    found = [limbs.step(pose, target, 0.04, blocked=blocked) for _ in range(5)]
+    assert found == [False, False, False, stuck, stuck]
 
 
 def _bridged(resets: list[int], lost: slice | list[int]) -> tuple[Array, Array]:

@@ -106,6 +106,8 @@ class PulledCharacter:
         own = np.isin(model.geom_bodyid, self._bodies)
         self._geoms = np.flatnonzero(own)
         self._collisions = model.geom_contype[own], model.geom_conaffinity[own]
+        self._own, self._others = own, ~own
+        self._others[model.geom("floor").id] = False
         self.grasp = Grasp(self.data, body, prefix)
         self._weight = float(body.mass * GRAVITY)
         masses = joint_masses(body)
@@ -319,7 +321,10 @@ class PulledCharacter:
             self._limbs.start()
             return False
         pose = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
-        return self._limbs.step(pose, self._target, dt)
+        touching = self.data.contact.geom
+        own, others = self._own[touching], self._others[touching]
+        blocked = bool((own & others[:, ::-1]).any())
+        return self._limbs.step(pose, self._target, dt, blocked=blocked)
 
     def _place(self, positions: Array, rotations: Array) -> None:
         skeleton, qpos = self.body.skeleton, self.data.qpos
