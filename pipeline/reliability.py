@@ -53,8 +53,9 @@ class UsualScores:
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        pairs = (skeleton.segments, skeleton.segment_parents)
-        self._bones = np.stack(pairs, axis=1).tolist()
+        ends, starts = skeleton.segments, skeleton.segment_parents
+        self._near = np.eye(len(skeleton), dtype=np.bool_)
+        self._near[ends, starts] = self._near[starts, ends] = True
         self._usual = np.ones((2, len(skeleton)))
         self._counts = np.zeros(len(skeleton))
         self._since = np.full(len(skeleton), _AVERAGED)
@@ -95,10 +96,7 @@ class UsualScores:
 
     def _beside(self, hidden: Flags) -> Flags:
         """Return flags (..., J) of hidden joints and those at their segments."""
-        beside = hidden.copy()
-        for ends in self._bones:
-            beside[..., ends] |= hidden[..., ends].any(axis=-1, keepdims=True)
-        return beside
+        return np.asarray(hidden @ self._near)
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:

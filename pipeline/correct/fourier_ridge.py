@@ -56,7 +56,7 @@ _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
-_CHUNK = 2048  # frames at a time: features take far more memory than positions
+_CHUNK = 1024  # frames at a time: features take far more memory than positions
 
 
 class FourierRidge(LearnedCorrector):
@@ -147,20 +147,20 @@ class FourierRidge(LearnedCorrector):
         """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        self._offsets: list[list[tuple[Singles, Array]]] = []
+        # Weights and constants of left and right limbs, on the near and the far side.
+        self._offsets: list[tuple[Singles, Singles]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
         ):
-            far = far if len(far) else np.zeros_like(shared)
-            self._offsets.append([])
-            for side in range(2):
-                near, constant = shared, self.offset_
-                if self._person is not None:
-                    near = shared + own[self._person, side, :-1]
-                    constant = constant + own[self._person, side, -1]
-                constants = np.stack([constant, np.zeros_like(constant)])
-                self._offsets[-1].append((np.stack([near, far]), constants))
+            near, constant = np.stack([shared, shared]), np.stack([self.offset_] * 2)
+            if self._person is not None:
+                near = near + own[self._person, :, :-1]
+                constant = constant + own[self._person, :, -1]
+            opposite = np.zeros_like(near)
+            opposite[:] = far if len(far) else 0.0
+            constants = np.stack([constant, np.zeros_like(constant)], axis=1)
+            self._offsets.append((np.stack([near, opposite], axis=1), constants))
 
     def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
@@ -169,23 +169,25 @@ class FourierRidge(LearnedCorrector):
         (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
         described, (order, signs) = self._posture_features, self._mirrors[live]
-        sides = (features, features[:, order] * signs)
+        sides = np.concatenate([features, features[:, order] * signs])
+        count = len(features)
         whole, by_part = self._centers[live][:2], self._centers[live][2:]
-        offsets, parts = [], []
-        for side, (weights, constants) in zip(sides, self._offsets[live], strict=True):
-            predicted, first = [], 0
-            for part, random in zip(described.parts, self._features[live], strict=True):
-                last = first + 3 * len(part.joints)
-                predicted.append(random(side) @ weights[..., first:last])
-                first = last
-            of_side = np.concatenate(predicted, axis=2) + constants[:, None]
-            offsets.append(of_side.reshape(2, len(side), -1, 3))
-            parts.append(
-                [similarity_to(side[:, own], near, size) for own, near, size in by_part]
-            )
+        weights, constants = self._offsets[live]
+        predicted, first = [], 0
+        for part, random in zip(described.parts, self._features[live], strict=True):
+            last = first + 3 * len(part.joints)
+            found = random(sides).reshape(2, 1, count, -1)
+            predicted.append(found @ weights[..., first:last])
+            first = last
+        offsets = np.concatenate(predicted, axis=3) + constants[:, :, None]
+        parts = [
+            similarity_to(sides[:, own], near, size) for own, near, size in by_part
+        ]
         posture = [similarity_to(features, near, size) for _, near, size in whole]
-        joints = np.array(parts)[described.is_right.astype(int), described.part_of]
-        return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
+        by_side = np.array(parts).reshape(len(parts), 2, -1)
+        joints = by_side[described.part_of, described.is_right.astype(int)]
+        merged = described.merge_sides(*offsets.reshape(2, 2, count, -1, 3))
+        return merged, np.stack(posture, axis=1), joints.T
 
     def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
         """Correct a whole take."""

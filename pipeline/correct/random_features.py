@@ -83,5 +83,5 @@ def similarity_to(features: Singles, centers: Singles, squares: Singles) -> Arra
     if not len(centers):
         return np.zeros(len(features))
     nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
-    nearest = nearest + np.sum(features**2, axis=1)
+    nearest = nearest + np.vecdot(features, features)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
