@@ -41,10 +41,9 @@ def normalize(q: ArrayLike) -> Array:
     """Scale quaternions to unit length; zero becomes the identity, NaN stays NaN."""
     q = np.asarray(q)
     norm = np.sqrt(np.vecdot(q, q))[..., None]
-    zero = norm == 0.0
-    if not np.any(zero):
+    if norm.all():
         return np.asarray(q / norm)
-    return np.where(zero, IDENTITY, q / np.where(zero, 1.0, norm))
+    return np.where(norm == 0.0, IDENTITY, q / np.where(norm == 0.0, 1.0, norm))
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> Array:
@@ -88,7 +87,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     q = np.empty((*w.shape, 4))
     q[..., 0], q[..., 1:] = w, cross(a, b)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
-    if np.any(opposite):
+    if opposite.any():
         # The coordinate axis along which a is shortest is never parallel to a.
         helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
         across = np.zeros_like(q)

@@ -167,7 +167,7 @@ def _trunk_directions(take: Take) -> Array:
     """Return median directions of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    left, right = np.transpose([skeleton.sides("Hip"), skeleton.sides("Shoulder")])
+    left, right = skeleton.across
     trunk = [*left, *right, *skeleton.ancestors(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():

@@ -81,7 +81,7 @@ class MovePlanner:
         forward[..., : len(self._masses) * 3] += needed.reshape(rows)
         # By where the center of mass is between the feet.
         feet = 0.5 * after[0][..., self._feet, :2].sum(axis=-2)
-        left, right = np.moveaxis(feet, -2, 0)
+        left, right = feet[..., 0, :], feet[..., 1, :]
         across, middle = left - right, self._shares @ after[0][..., :2]
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)

@@ -23,7 +23,8 @@ class StandingFeet:
     """
 
     def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:
-        self._data, self._soles, self._weight = data, soles, weight
+        self._upward, self._soles = data.xfrc_applied[:, 2], soles
+        self._weight = weight
         self.start()
 
     def start(self) -> None:
@@ -59,5 +60,5 @@ class StandingFeet:
         self._carried += share * (self.lifting - self._carried)
         carried = min(max(self._carried, 0.0), _HARDEST_STEP * self._weight)
         pressing = self._load * carried
-        self._data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
+        self._upward[self._soles] -= pressing - self._pressing
         self._pressing = pressing
