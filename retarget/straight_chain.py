@@ -75,7 +75,7 @@ class StraightChains:
         Arguments are results of ``aims``.
         """
         mixed = unit(weights[..., None] * aims + self._straight * self.along)
-        bend = np.arccos(np.clip(np.vecdot(mixed, self.along), -1.0, 1.0))
+        bend = np.arccos(np.vecdot(mixed, self.along).clip(-1.0, 1.0))
         away = unit(mixed - np.cos(bend)[..., None] * self.along)
         less = softened(bend, *self._bend)[..., None]
         return np.asarray(np.cos(less) * self.along + np.sin(less) * away)

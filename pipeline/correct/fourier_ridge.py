@@ -147,13 +147,14 @@ class FourierRidge(LearnedCorrector):
         """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        # Weights and constants of left and right limbs, on the near and the far side.
+        # Weights and constants of left and right limbs, or of both where they are the
+        # same, on the near and the far side.
         self._offsets: list[tuple[Singles, Singles]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
         ):
-            near, constant = np.stack([shared, shared]), np.stack([self.offset_] * 2)
+            near, constant = shared[None], self.offset_[None]
             if self._person is not None:
                 near = near + own[self._person, :, :-1]
                 constant = constant + own[self._person, :, -1]
@@ -343,4 +344,4 @@ def _turned(positions: Array, turn: Array, center: Array) -> Array:
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
-    return np.asarray(np.clip((values - none) / (whole - none), 0.0, 1.0))
+    return np.asarray(((values - none) / (whole - none)).clip(0.0, 1.0))

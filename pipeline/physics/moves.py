@@ -85,5 +85,5 @@ class MovePlanner:
         across, middle = left - right, self._shares @ after[0][..., :2]
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
-        left_share = np.clip(left_share, 0.0, 1.0)
+        left_share = left_share.clip(0.0, 1.0)
         return Move(duration, before, after, forward, left_share)

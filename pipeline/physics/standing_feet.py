@@ -45,7 +45,7 @@ class StandingFeet:
         if wanted.all():
             wanted = np.array([move.left_share, 1.0 - move.left_share])
         most = move.duration / _LOADING_TIME
-        loads = self._load + np.clip(wanted - self._load, -most, most)
+        loads = self._load + (wanted - self._load).clip(-most, most)
         self._load, self._pressing = np.where(wanted > 0.0, loads, 0.0), np.zeros(2)
         self._began = self._carried, self.lifting
 

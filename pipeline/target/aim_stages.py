@@ -64,7 +64,7 @@ class _Aim(Stage):
         before, turns = draft.positions, draft.rotations
         self._aim(draft, chains, filters)
         firm = draft.bone_weights[..., chains.joints].max(axis=-2)
-        shares = np.clip((firm - 1.0) / (PLANTED - 1.0), 0.0, 1.0)
+        shares = ((firm - 1.0) / (PLANTED - 1.0)).clip(0.0, 1.0)
         for k in np.flatnonzero(shares.reshape(-1, firm.shape[-1]).any(axis=0)):
             share, start = shares[..., k, None], int(chains.starts[k])
             moved = [start, *draft.skeleton.descendants(start)]

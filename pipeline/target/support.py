@@ -51,11 +51,11 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
             center, wrench = required_wrench(time[part][run], path, body)
             for some in chunks(len(center), _CHUNK):
                 cones, down = _contacts(path[1:-1][some], center[some], body)
-                for k, needed in enumerate(wrench[some]):
+                left = wrench[some]
+                for k in np.flatnonzero(down.any(axis=1)):
                     edges = cones[k, down[k]].reshape(-1, 6).T
-                    if edges.size:
-                        needed = needed - edges @ nnls(edges, needed)[0]
-                    inner[some][k] = needed.reshape(2, 3)
+                    left[k] -= edges @ nnls(edges, left[k])[0]
+                inner[some] = left.reshape(-1, 2, 3)
     force, moment = np.linalg.norm(residuals, axis=2).T
     return force, moment
 
