@@ -188,10 +188,11 @@ def _trunk_directions(take: Take) -> Array:
 
 def column_medians(values: Array) -> Array:
     """Return medians over axis 0 that ignore NaN; NaN for columns of only NaN."""
-    medians = np.full(values.shape[1], np.nan)
-    seen = ~np.isnan(values).all(axis=0)
-    medians[seen] = np.nanmedian(values[:, seen], axis=0)
-    return medians
+    known = np.count_nonzero(~np.isnan(values), axis=0)
+    middle = np.maximum([(known - 1) // 2, known // 2], 0)
+    # NaN is sorted to the end.
+    ordered = np.sort(values, axis=0)
+    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
 def _in_reference_posture(take: Take) -> Flags:

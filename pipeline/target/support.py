@@ -16,6 +16,7 @@ from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.rotations import cross
 
 from .feet import ankles_and_toes, flat_height
 from .floor import clearances
@@ -77,7 +78,7 @@ def required_wrench(time: Array, positions: Array, body: Body) -> tuple[Array, A
     for j, share in enumerate(shares):
         arm = positions[:, j] - center
         between = 0.5 * (arm[1:] + arm[:-1])
-        momenta[:, 1] += share * np.cross(between, np.diff(arm, axis=0) / steps)
+        momenta[:, 1] += share * cross(between, np.diff(arm, axis=0) / steps)
     rates = np.diff(momenta, axis=0) / (0.5 * (steps[1:] + steps[:-1]))[..., None]
     rates = smooth(time[1:-1], rates, np.ones(rates.shape[:2]), cutoff=_CUTOFF)
     rates[:, 0, 1] += GRAVITY
@@ -104,7 +105,7 @@ def _contacts(positions: Array, center: Array, body: Body) -> tuple[Array, Flags
         corners = heel - aside, heel + aside, tip - aside, tip + aside
         points.append(np.stack(corners, axis=1))
     contacts = np.concatenate(points, axis=1)
-    moments = np.cross((contacts - center[:, None])[:, :, None], _EDGES)
+    moments = cross((contacts - center[:, None])[:, :, None], _EDGES)
     forces = np.broadcast_to(_EDGES, moments.shape)
     cones = np.concatenate([forces, moments], axis=3)
     return cones, np.asarray(contacts[..., 1] < _NEAR)
