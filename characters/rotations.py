@@ -20,6 +20,9 @@ _HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _HAMILTON_SIGNS = np.array(
     [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
 )
+# Maps a quaternion to that matrix, row after row.
+_TO_PRODUCT = np.zeros((4, 16))
+_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _HAMILTON_SIGNS.ravel()
 # Likewise, the matrix of the cross product with the quaternion's vector part.
 _CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
 _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
@@ -28,7 +31,7 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the Hamilton product ``a * b`` (first b, then a), shape (..., 4)."""
-    left = np.asarray(a)[..., _HAMILTON] * _HAMILTON_SIGNS
+    left = (np.asarray(a) @ _TO_PRODUCT).reshape(*np.shape(a)[:-1], 4, 4)
     return np.asarray((left @ np.asarray(b)[..., None])[..., 0])
 
 

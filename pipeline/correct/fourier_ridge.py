@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import KINECT_V2, Skeleton
-from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
+from kinefilter.characters.arrays import Array, Indices, Singles, chunks
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.body_size import chain_matrix
 
@@ -122,7 +122,7 @@ class FourierRidge(LearnedCorrector):
         centers += zip((part.own for part in parts), of_parts, strict=True)
         # Of whole takes, then of live motion.
         self._features = list[list[RandomFeatures]]()
-        self._centers = list[list[tuple[Flags, Singles, Singles]]]()
+        self._centers = list[list[tuple[Indices, Singles, Singles]]]()
         self._mirrors = list[tuple[Indices, Singles]]()
         order, signs = self._posture_features.mirror
         for weights, columns in (
@@ -140,7 +140,8 @@ class FourierRidge(LearnedCorrector):
             for own, found in centers:
                 kept = np.isin(np.flatnonzero(own), columns)
                 near = np.ascontiguousarray(found[:, kept])
-                self._centers[-1].append((own[columns], near, np.sum(near**2, axis=1)))
+                own_columns = np.flatnonzero(own[columns])
+                self._centers[-1].append((own_columns, near, np.sum(near**2, axis=1)))
         self.select_person(None)
 
     def select_person(self, person: str | None) -> None:

@@ -66,7 +66,7 @@ class OneEuro(Corrector):
         last, known = self._hold.last, self._hold.measured[:, None]
         change = np.where(known, positions - last, 0.0)
         # A missing joint is held, so it comes to rest.
-        velocity = np.nan_to_num(change) / step
+        velocity = np.where(np.isnan(change), 0.0, change) / step
         share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
         root = velocity[self.skeleton.root]
