@@ -56,7 +56,7 @@ _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
-_CHUNK = 1024  # frames at a time: features take far more memory than positions
+_CHUNK = 256  # frames at a time: features of more do not fit into caches. Timed.
 
 
 class FourierRidge(LearnedCorrector):
@@ -162,7 +162,8 @@ class FourierRidge(LearnedCorrector):
             opposite = np.zeros_like(near)
             opposite[:] = far if len(far) else 0.0
             constants = np.stack([constant, np.zeros_like(constant)], axis=1)
-            self._offsets.append((np.stack([near, opposite], axis=1), constants))
+            rows = np.ascontiguousarray(np.stack([near, opposite], axis=1).mT)
+            self._offsets.append((rows, constants))
 
     def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
@@ -178,8 +179,8 @@ class FourierRidge(LearnedCorrector):
         predicted, first = [], 0
         for part, random in zip(described.parts, self._features[live], strict=True):
             last = first + 3 * len(part.joints)
-            found = random(sides).reshape(2, 1, count, -1)
-            predicted.append(found @ weights[..., first:last])
+            own = weights[..., first:last, :].mT
+            predicted.append(random(sides).reshape(2, 1, count, -1) @ own)
             first = last
         offsets = np.concatenate(predicted, axis=3) + constants[:, :, None]
         parts = [
