@@ -58,22 +58,19 @@ _FIRST_BIT = 7  # of the characters' own
 # Guesses.
 _FIRM_FLESH = {"solref": [0.04, 1.0], "solimp": [0.5, 0.98, 0.03, 0.5, 2.0]}
 _UNSEEN = 4  # group of geoms that nothing draws
+# Order of the components of vectors and quaternions: (forward, left, up) is (z, x, y).
+_TO_MUJOCO = {3: np.array([2, 0, 1]), 4: np.array([0, 3, 1, 2])}
+_FROM_MUJOCO = {3: np.array([1, 2, 0]), 4: np.array([0, 2, 3, 1])}
 
 
 def to_mujoco(values: Array) -> Array:
     """Convert vectors (..., 3) or quaternions wxyz (..., 4) to MuJoCo's z-up world."""
-    return _permute(values, [2, 0, 1])  # (forward, left, up) of (x, y, z)
+    return values.take(_TO_MUJOCO[values.shape[-1]], axis=-1)
 
 
 def from_mujoco(values: Array) -> Array:
     """Convert vectors (..., 3) or quaternions wxyz (..., 4) to kinefilter's world."""
-    return _permute(values, [1, 2, 0])
-
-
-def _permute(values: Array, order: list[int]) -> Array:
-    if values.shape[-1] == 4:
-        return np.asarray(values[..., [0, *(k + 1 for k in order)]])
-    return np.asarray(values[..., order])
+    return values.take(_FROM_MUJOCO[values.shape[-1]], axis=-1)
 
 
 def build_humanoid(body: Body, tracking: Tracking | None = None) -> mujoco.MjSpec:

@@ -18,6 +18,9 @@ _HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _HAMILTON_SIGNS = np.array(
     [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
 )
+# Maps a quaternion to that matrix, row after row.
+_TO_PRODUCT = np.zeros((4, 16))
+_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _HAMILTON_SIGNS.ravel()
 # Likewise, the matrix of the cross product with the quaternion's vector part.
 _CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
 _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
@@ -26,7 +29,7 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the Hamilton product ``a * b`` (first b, then a), shape (..., 4)."""
-    left = np.asarray(a)[..., _HAMILTON] * _HAMILTON_SIGNS
+    left = (np.asarray(a) @ _TO_PRODUCT).reshape(*np.shape(a)[:-1], 4, 4)
     return np.asarray((left @ np.asarray(b)[..., None])[..., 0])
 
 
@@ -39,10 +42,9 @@ def normalize(q: ArrayLike) -> Array:
     """Scale quaternions to unit length; zero becomes the identity, NaN stays NaN."""
     q = np.asarray(q)
     norm = np.sqrt(np.vecdot(q, q))[..., None]
-    zero = norm == 0.0
-    if not np.any(zero):
+    if norm.all():
         return np.asarray(q / norm)
-    return np.where(zero, IDENTITY, q / np.where(zero, 1.0, norm))
+    return np.where(norm == 0.0, IDENTITY, q / np.where(norm == 0.0, 1.0, norm))
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> Array:
@@ -86,7 +88,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     q = np.empty((*w.shape, 4))
     q[..., 0], q[..., 1:] = w, cross(a, b)
     opposite = (w <= 1e-9 * length) & (length > 0.0)
-    if np.any(opposite):
+    if opposite.any():
         # The coordinate axis along which a is shortest is never parallel to a.
         helper = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
         across = np.zeros_like(q)

@@ -74,6 +74,11 @@ class Skeleton:
         return np.array(self.sides("Hip"))
 
     @cached_property
+    def across(self) -> Indices:
+        """Indices of the left joints, then the right ones, of hips and shoulders."""
+        return np.transpose([self.sides("Hip"), self.sides("Shoulder")])
+
+    @cached_property
     def girdle(self) -> int:
         """Index of the spine's joint from which the shoulders branch off."""
         return self.parents[self.index("ShoulderLeft")]

@@ -51,8 +51,9 @@ class UsualScores:
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
-        pairs = (skeleton.segments, skeleton.segment_parents)
-        self._bones = np.stack(pairs, axis=1).tolist()
+        ends, starts = skeleton.segments, skeleton.segment_parents
+        self._near = np.eye(len(skeleton), dtype=np.bool_)
+        self._near[ends, starts] = self._near[starts, ends] = True
         self._usual = np.ones((2, len(skeleton)))
         self._counts = np.zeros(len(skeleton))
         self._since = np.full(len(skeleton), _AVERAGED)
@@ -93,10 +94,7 @@ class UsualScores:
 
     def _beside(self, hidden: Flags) -> Flags:
         """Return flags (..., J) of hidden joints and those at their segments."""
-        beside = hidden.copy()
-        for ends in self._bones:
-            beside[..., ends] |= hidden[..., ends].any(axis=-1, keepdims=True)
-        return beside
+        return np.asarray(hidden @ self._near)
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
@@ -167,7 +165,7 @@ def _trunk_directions(take: Take) -> Array:
     """Return median directions of trunk segments in the trunk's frame, (J, 3)."""
     skeleton = take.skeleton
     directions = np.full((len(skeleton), 3), np.nan)
-    left, right = np.transpose([skeleton.sides("Hip"), skeleton.sides("Shoulder")])
+    left, right = skeleton.across
     trunk = [*left, *right, *skeleton.ancestors(skeleton.girdle)]
     seen = (take.state[:, [skeleton.root, *trunk]] == State.TRACKED).all(axis=1)
     if not seen.any():
@@ -188,10 +186,11 @@ def _trunk_directions(take: Take) -> Array:
 
 def column_medians(values: Array) -> Array:
     """Return medians over axis 0 that ignore NaN; NaN for columns of only NaN."""
-    medians = np.full(values.shape[1], np.nan)
-    seen = ~np.isnan(values).all(axis=0)
-    medians[seen] = np.nanmedian(values[:, seen], axis=0)
-    return medians
+    known = np.count_nonzero(~np.isnan(values), axis=0)
+    middle = np.maximum([(known - 1) // 2, known // 2], 0)
+    # NaN is sorted to the end.
+    ordered = np.sort(values, axis=0)
+    return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 
 def _in_reference_posture(take: Take) -> Flags:

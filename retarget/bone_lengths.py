@@ -77,42 +77,59 @@ class BoneLengths:
         return np.asarray(self._incidence / firm[:, None, :] + self._together)
 
     def _project(self, points: Array, firmness: Array) -> Array:
-        moves = self._moves(firmness)
-        coupling = moves @ self._incidence.T
-        moves = moves.transpose(0, 2, 1)
-        share = np.ones((len(points), 1, 1))
+        projected, most = points.copy(), 0.5 * self._lengths
         directions, errors = self._bones(points)
         worst = np.abs(errors).max(axis=1)
+        frames = np.flatnonzero(worst >= _EXACT)
+        if not len(frames):
+            return projected
+        moves = self._moves(firmness[frames])
+        coupling = moves @ self._incidence.T
+        share = np.ones((len(frames), 1, 1))
+        points, directions, errors, worst = (
+            values[frames] for values in (points, directions, errors, worst)
+        )
         for _ in range(_MOST_STEPS):
-            if worst.max() < _EXACT:
-                break
             system = coupling * (directions @ directions.transpose(0, 2, 1))
             system += self._ridge
             # Steps of at most half a bone keep a folded limb from flipping over.
-            step = np.clip(errors, -0.5 * self._lengths, 0.5 * self._lengths)
+            step = np.minimum(np.maximum(errors, -most), most)
             pull = np.linalg.solve(system, step[..., None]) * directions
-            tried = points - share * (moves @ pull)
+            tried = points - share * (moves.transpose(0, 2, 1) @ pull)
             new_directions, new_errors = self._bones(tried)
             new_worst = np.abs(new_errors).max(axis=1)
             # Frames that do not improve try again with half the step.
             better = (new_worst < worst)[:, None, None]
-            share = np.where(better, np.minimum(2 * share, 1), share / 2)
-            points = np.where(better, tried, points)
-            directions = np.where(better, new_directions, directions)
-            errors = np.where(better[..., 0], new_errors, errors)
+            if better.all():
+                points, directions, errors = tried, new_directions, new_errors
+                share = np.minimum(2.0 * share, 1.0)
+            else:
+                share = np.where(better, np.minimum(2.0 * share, 1.0), share / 2.0)
+                points = np.where(better, tried, points)
+                directions = np.where(better, new_directions, directions)
+                errors = np.where(better[..., 0], new_errors, errors)
             worst = np.minimum(new_worst, worst)
-        exact = worst < _EXACT
-        if exact.all():
-            return points
-        chained, bones = points.copy(), directions * self._lengths[:, None]
+            exact = worst < _EXACT
+            if exact.any():
+                projected[frames[exact]] = points[exact]
+                if exact.all():
+                    return projected
+                left = (frames, points, directions, errors, worst)
+                frames, points, directions, errors, worst = (x[~exact] for x in left)
+                moves, coupling, share = (x[~exact] for x in (moves, coupling, share))
+        bones = directions * self._lengths[:, None]
         for k, (j, p) in enumerate(zip(self._ends, self._starts, strict=True)):
-            chained[:, j] = chained[:, p] + bones[:, k]
-        return np.where(exact[:, None, None], points, chained)
+            points[:, j] = points[:, p] + bones[:, k]
+        projected[frames] = points
+        return projected
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
         """Return unit directions (of zero bones: at rest) and length errors [m]."""
         bones = points[:, self._ends] - points[:, self._starts]
         lengths = np.sqrt(np.vecdot(bones, bones))
+        errors = lengths - self._lengths
+        if lengths.min(initial=1.0) > 1e-6:
+            return bones / lengths[..., None], errors
         valid = (lengths > 1e-6)[..., None]
         directions = bones / np.where(valid, lengths[..., None], 1.0)
-        return np.where(valid, directions, self._rest), lengths - self._lengths
+        return np.where(valid, directions, self._rest), errors

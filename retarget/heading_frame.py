@@ -83,9 +83,10 @@ def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
     and weighted by the weights of both ends. Positions [m] (..., J, 3) have y up and
     are NaN where missing; weights are (..., J).
     """
-    left, right = np.transpose([skeleton.sides(part) for part in ("Hip", "Shoulder")])
+    left, right = skeleton.across
     lines = positions[..., left, :] - positions[..., right, :]
     line_weights = weights[..., left] * weights[..., right]
     lines = np.where(np.isnan(lines), 0.0, lines * line_weights[..., None])
-    x, z = lines[..., 0].sum(axis=-1), lines[..., 2].sum(axis=-1)
+    line = lines.sum(axis=-2)
+    x, z = line[..., 0], line[..., 2]
     return np.where(np.hypot(x, z) > 1e-6, np.arctan2(-z, x), np.nan)

@@ -67,9 +67,8 @@ class Neck(StraightChains):
         """
         positions, rotations = positions.copy(), rotations.copy()
         chest, before = rotations[..., self.starts, :], self.starts
-        for joints in self.joints:
-            last = joints == self.joints[-1]
-            share = 1.0 if last else _NECK_SHARE
+        for k, joints in enumerate(self.joints, start=1):
+            share = 1.0 if k == len(self.joints) else _NECK_SHARE
             local = unit(share * heads + (1.0 - share) * self.along)
             rest, turns = self._body.rest_offsets[joints], rotations[..., joints, :]
             if turn is not None:

@@ -8,6 +8,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import (
     about_x,
     between,
+    cross,
     inverse,
     multiply,
     rotate,
@@ -37,8 +38,15 @@ class Palms(StraightChains):
         stems = [joint.removesuffix("Left") for joint in hand]
         fingers = [skeleton.sides(stem) for stem in stems if stem != "Thumb"]
         super().__init__(body, wrists, fingers, straight=_STRAIGHT, bend=_BEND)
-        self._body = body
         self._thumbs = skeleton.sides("Thumb") if "Thumb" in stems else []
+        if self._thumbs:
+            rest = body.rest_offsets[self._thumbs]
+            ahead = unit(rest - np.vecdot(rest, self.along)[:, None] * self.along)
+            sides = np.stack([ahead, cross(self.along, ahead)], axis=1)
+            self._sides = sides / np.vecdot(rest, ahead)[:, None, None]
+        self._beyond = np.array([skeleton.sides(stem) for stem in stems])
+        places = body.rest_positions
+        self._offsets = places[self._beyond] - places[self.starts]
 
     @property
     def has_thumbs(self) -> bool:
@@ -58,11 +66,8 @@ class Palms(StraightChains):
         bones = positions[..., self._thumbs, :] - positions[..., self.starts, :]
         local = rotate(inverse(rotations[..., self.starts, :]), bones)
         local = rotate(between(hands, self.along), local)
-        rest = self._body.rest_offsets[self._thumbs]
-        ahead = unit(rest - np.vecdot(rest, self.along)[:, None] * self.along)
-        across = np.cross(self.along, ahead)
-        seen = np.stack([np.vecdot(local, ahead), np.vecdot(local, across)], axis=-1)
-        return seen / np.vecdot(rest, ahead)[:, None], weights[..., self._thumbs]
+        seen = np.vecdot(local[..., None, :], self._sides)
+        return seen, weights[..., self._thumbs]
 
     def twist(self, thumbs: Array, weights: Array) -> Array:
         """Return the twist [rad] of forearms from results of ``thumbs``, (..., 2).
@@ -88,9 +93,7 @@ class Palms(StraightChains):
         rotations[..., self.starts, :] = twisted
         along = rotate(forearms, self.along)
         turned = multiply(between(along, rotate(forearms, hands)), twisted)
-        rest, parents = self._body.rest_offsets, self._body.skeleton.parents
-        for joints in [*self.joints, self._thumbs] if self._thumbs else self.joints:
-            before = positions[..., [parents[j] for j in joints], :]
-            positions[..., joints, :] = before + rotate(turned, rest[joints])
-            rotations[..., joints, :] = turned
+        turned, wrists = turned[..., None, :, :], positions[..., None, self.starts, :]
+        positions[..., self._beyond, :] = wrists + rotate(turned, self._offsets)
+        rotations[..., self._beyond, :] = turned
         return positions, rotations

@@ -37,10 +37,11 @@ class StraightChains:
         straight: float,
         bend: tuple[float, float],
     ) -> None:
-        self.starts, self.joints = list(starts), [list(row) for row in joints]
+        self.starts, self.joints = np.array(starts), np.array(joints)
         self.along = body.directions[self.joints[0]]
         self._straight, self._bend = straight, bend
         self._reach = np.cumsum(body.lengths[self.joints], axis=0)
+        self._whole = np.sum(self._reach**2, axis=0)
 
     def aims(
         self, positions: Array, rotations: Array, weights: Array
@@ -57,15 +58,14 @@ class StraightChains:
             shorter than 1 as far as the joints disagree, and their weights, (..., K),
             less for chains that bend far, most of which the tracker has lost.
         """
-        starts = positions[..., self.starts, :]
-        pull, total = np.zeros_like(starts), np.zeros(starts.shape[:-1])
-        for joints, reach in zip(self.joints, self._reach, strict=True):
-            weight = weights[..., joints] * reach
-            pull += weight[..., None] * (positions[..., joints, :] - starts)
-            total += weight * reach
-        aims = rotate(inverse(rotations[..., self.starts, :]), pull / total[..., None])
-        odd = np.sum((aims - self.along) ** 2, axis=-1) / _ODD**2
-        return aims, total / np.sum(self._reach**2, axis=0) / (1.0 + odd)
+        bones = positions[..., self.joints, :] - positions[..., None, self.starts, :]
+        pulls = weights[..., self.joints] * self._reach
+        total = (pulls * self._reach).sum(axis=-2)
+        mean = (pulls[..., None] * bones).sum(axis=-3) / total[..., None]
+        aims = rotate(inverse(rotations[..., self.starts, :]), mean)
+        bent = aims - self.along
+        odd = np.vecdot(bent, bent) / _ODD**2
+        return aims, total / self._whole / (1.0 + odd)
 
     def straightened(self, aims: Array, weights: Array) -> Array:
         """Return unit directions of chains (..., K, 3) that resist bending.
@@ -73,7 +73,7 @@ class StraightChains:
         Arguments are results of ``aims``.
         """
         mixed = unit(weights[..., None] * aims + self._straight * self.along)
-        bend = np.arccos(np.clip(np.vecdot(mixed, self.along), -1.0, 1.0))
+        bend = np.arccos(np.vecdot(mixed, self.along).clip(-1.0, 1.0))
         away = unit(mixed - np.cos(bend)[..., None] * self.along)
         less = softened(bend, *self._bend)[..., None]
         return np.asarray(np.cos(less) * self.along + np.sin(less) * away)

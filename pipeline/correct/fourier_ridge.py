@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import KINECT_V2, Skeleton
-from kinefilter.characters.arrays import Array, Flags, Indices, Singles, chunks
+from kinefilter.characters.arrays import Array, Indices, Singles, chunks
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.body_size import chain_matrix
 
@@ -56,7 +56,7 @@ _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
-_CHUNK = 2048  # frames at a time: features take far more memory than positions
+_CHUNK = 256  # frames at a time: features of more do not fit into caches. Timed.
 
 
 class FourierRidge(LearnedCorrector):
@@ -122,7 +122,7 @@ class FourierRidge(LearnedCorrector):
         centers += zip((part.own for part in parts), of_parts, strict=True)
         # Of whole takes, then of live motion.
         self._features = list[list[RandomFeatures]]()
-        self._centers = list[list[tuple[Flags, Singles, Singles]]]()
+        self._centers = list[list[tuple[Indices, Singles, Singles]]]()
         self._mirrors = list[tuple[Indices, Singles]]()
         order, signs = self._posture_features.mirror
         for weights, columns in (
@@ -140,27 +140,30 @@ class FourierRidge(LearnedCorrector):
             for own, found in centers:
                 kept = np.isin(np.flatnonzero(own), columns)
                 near = np.ascontiguousarray(found[:, kept])
-                self._centers[-1].append((own[columns], near, np.sum(near**2, axis=1)))
+                own_columns = np.flatnonzero(own[columns])
+                self._centers[-1].append((own_columns, near, np.sum(near**2, axis=1)))
         self.select_person(None)
 
     def select_person(self, person: str | None) -> None:
         """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        self._offsets: list[list[tuple[Singles, Array]]] = []
+        # Weights and constants of left and right limbs, or of both where they are the
+        # same, on the near and the far side.
+        self._offsets: list[tuple[Singles, Singles]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
             (self.live_weights_, self.live_far_weights_, self.live_own_weights_),
         ):
-            far = far if len(far) else np.zeros_like(shared)
-            self._offsets.append([])
-            for side in range(2):
-                near, constant = shared, self.offset_
-                if self._person is not None:
-                    near = shared + own[self._person, side, :-1]
-                    constant = constant + own[self._person, side, -1]
-                constants = np.stack([constant, np.zeros_like(constant)])
-                self._offsets[-1].append((np.stack([near, far]), constants))
+            near, constant = shared[None], self.offset_[None]
+            if self._person is not None:
+                near = near + own[self._person, :, :-1]
+                constant = constant + own[self._person, :, -1]
+            opposite = np.zeros_like(near)
+            opposite[:] = far if len(far) else 0.0
+            constants = np.stack([constant, np.zeros_like(constant)], axis=1)
+            rows = np.ascontiguousarray(np.stack([near, opposite], axis=1).mT)
+            self._offsets.append((rows, constants))
 
     def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
@@ -169,23 +172,25 @@ class FourierRidge(LearnedCorrector):
         (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
         described, (order, signs) = self._posture_features, self._mirrors[live]
-        sides = (features, features[:, order] * signs)
+        sides = np.concatenate([features, features[:, order] * signs])
+        count = len(features)
         whole, by_part = self._centers[live][:2], self._centers[live][2:]
-        offsets, parts = [], []
-        for side, (weights, constants) in zip(sides, self._offsets[live], strict=True):
-            predicted, first = [], 0
-            for part, random in zip(described.parts, self._features[live], strict=True):
-                last = first + 3 * len(part.joints)
-                predicted.append(random(side) @ weights[..., first:last])
-                first = last
-            of_side = np.concatenate(predicted, axis=2) + constants[:, None]
-            offsets.append(of_side.reshape(2, len(side), -1, 3))
-            parts.append(
-                [similarity_to(side[:, own], near, size) for own, near, size in by_part]
-            )
+        weights, constants = self._offsets[live]
+        predicted, first = [], 0
+        for part, random in zip(described.parts, self._features[live], strict=True):
+            last = first + 3 * len(part.joints)
+            own = weights[..., first:last, :].mT
+            predicted.append(random(sides).reshape(2, 1, count, -1) @ own)
+            first = last
+        offsets = np.concatenate(predicted, axis=3) + constants[:, :, None]
+        parts = [
+            similarity_to(sides[:, own], near, size) for own, near, size in by_part
+        ]
         posture = [similarity_to(features, near, size) for _, near, size in whole]
-        joints = np.array(parts)[described.is_right.astype(int), described.part_of]
-        return described.merge_sides(*offsets), np.stack(posture, axis=1), joints.T
+        by_side = np.array(parts).reshape(len(parts), 2, -1)
+        joints = by_side[described.part_of, described.is_right.astype(int)]
+        merged = described.merge_sides(*offsets.reshape(2, 2, count, -1, 3))
+        return merged, np.stack(posture, axis=1), joints.T
 
     def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
         """Correct a whole take."""
@@ -341,4 +346,4 @@ def _turned(positions: Array, turn: Array, center: Array) -> Array:
 
 
 def _ramp(values: Array, none: Array | float, whole: Array | float) -> Array:
-    return np.asarray(np.clip((values - none) / (whole - none), 0.0, 1.0))
+    return np.asarray(((values - none) / (whole - none)).clip(0.0, 1.0))

@@ -34,8 +34,8 @@ def measurement_confidence(
     posture.
     """
     span = RELIABLE - UNRELIABLE
-    confidence = np.clip((reliability - UNRELIABLE) / span, 0.0, 1.0)
-    plausible = np.clip((geometry - UNRELIABLE) / span, 0.0, 1.0)
+    confidence = ((reliability - UNRELIABLE) / span).clip(0.0, 1.0)
+    plausible = ((geometry - UNRELIABLE) / span).clip(0.0, 1.0)
     confidence = confidence + (1.0 - confidence) * (1.0 - coverage) * plausible
     return np.where(missing, 0.0, confidence)
 

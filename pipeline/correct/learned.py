@@ -35,7 +35,7 @@ class LearnedCorrector(Corrector):
 
     def start(self) -> None:
         """Reset the state for a new motion."""
-        self._hold.start()
+        self._hold = Hold(self.skeleton)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -200,7 +200,7 @@ class LocalPCA(Corrector):
         squares = (np.vecdot(apart, apart) @ reliability[..., None])[..., 0].min(axis=1)
         distance = np.sqrt(squares / np.maximum(reliability.sum(axis=1), 1e-9))
         near = np.hypot(self.database.spacing, _SENSOR_ERROR)
-        coverage: Array = np.clip(2.0 - distance / near, 0.0, 1.0)
+        coverage: Array = (2.0 - distance / near).clip(0.0, 1.0)
         for k, now in enumerate(coverage.tolist()):
             before = now if self._coverage is None else self._coverage
             self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -58,14 +58,15 @@ class OneEuro(Corrector):
             step = max(observation.time - self._time, _LEAST_STEP)
             measured = self._filter(measured, step)
         self._time = observation.time
-        return self._hold.step(replace(observation, positions=measured))
+        scores = observation.reliability, observation.geometry
+        return self._hold.step(Observation(measured, *scores))
 
     def _filter(self, positions: Array, step: float) -> Array:
         """Return the filtered frame [m], NaN where missing, (J, 3) (algorithm 1)."""
         last, known = self._hold.last, self._hold.measured[:, None]
         change = np.where(known, positions - last, 0.0)
         # A missing joint is held, so it comes to rest.
-        velocity = np.nan_to_num(change) / step
+        velocity = np.where(np.isnan(change), 0.0, change) / step
         share = _newest_share(np.array(self.derivative_cutoff), step)
         self._velocity = self._velocity + share * (velocity - self._velocity)
         root = velocity[self.skeleton.root]
@@ -82,7 +83,7 @@ class OneEuro(Corrector):
         """Return the part of the root's velocity [m/s] that each joint shares."""
         walk = self._walk
         shared = self._velocity @ walk / (walk @ walk + self.walking_speed**2)
-        return np.asarray(np.clip(shared, 0.0, 1.0)[:, None] * walk)
+        return np.asarray(shared.clip(0.0, 1.0)[:, None] * walk)
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

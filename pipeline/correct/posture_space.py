@@ -160,7 +160,7 @@ class PostureEnergy:
         are ``bones`` (S, 3) and their lengths ``lengths`` (S,).
         """
         directions = bones / np.maximum(lengths, 1e-9)[:, None]
-        slope = np.einsum("sk,skd->sd", directions, self._bone_basis)
+        slope = (directions[:, None] @ self._bone_basis)[:, 0]
         curvature = self._hessian + self._stiff * (slope.T @ slope)
         wanted = slope @ latent - (lengths - self._lengths)
         pull = self._fixed + self._stiff * (wanted @ slope)

@@ -20,16 +20,15 @@ class RandomFeatures:
     """
 
     def __init__(self, mean: Singles, count: int, seed: int, weights: Singles) -> None:
-        frequencies = _frequencies(len(mean), count // 2, seed)
-        self._frequencies = np.ascontiguousarray(frequencies * weights[:, None])
-        self._mean, self.size = mean, count + len(mean)
+        self._frequencies = _frequencies(len(mean), count // 2, seed)
+        self._mean, self._weights, self.size = mean, weights, count + len(mean)
         self._linear = weights * np.float32(np.sqrt(_LINEAR))
 
     def __call__(self, inputs: Singles) -> Singles:
         """Return the random and the linear features of frames, (T, size)."""
         half = self._frequencies.shape[1]
         features = np.empty((len(inputs), self.size), dtype=np.float32)
-        angles = inputs @ self._frequencies
+        angles = (inputs * self._weights) @ self._frequencies
         np.cos(angles, out=features[:, :half])
         np.sin(angles, out=features[:, half : 2 * half])
         features[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
@@ -47,7 +46,7 @@ def _frequencies(size: int, count: int, seed: int) -> Singles:
     turns = np.linalg.qr(normal)[0]
     lengths = np.linalg.norm(normal, axis=2, keepdims=True)
     rows = (turns * lengths).reshape(-1, size)[:count]
-    frequencies: Singles = rows.T.astype(np.float32)
+    frequencies: Singles = np.ascontiguousarray(rows.T, dtype=np.float32)
     frequencies.flags.writeable = False
     return frequencies
 
@@ -83,5 +82,5 @@ def similarity_to(features: Singles, centers: Singles, squares: Singles) -> Arra
     if not len(centers):
         return np.zeros(len(features))
     nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
-    nearest = nearest + np.sum(features**2, axis=1)
+    nearest = nearest + np.vecdot(features, features)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))

@@ -183,7 +183,7 @@ class PostureIndex:
         slack = _ROUNDING * float(weights @ farthest.sum(axis=1))  # rounding error of D
         rows = self._nearby(seen, weights, count, slack, guess)
         near = np.sort(self._order[rows])
-        away = np.where(weights[:, None] > 0.0, self._positions[near] - query, 0.0)
+        away = self._positions[near] - seen
         exact = np.vecdot(away, away) @ weights
         order = np.argsort(exact, kind="stable")[:count]
         return near[order], exact[order]

@@ -81,9 +81,9 @@ class MovePlanner:
         forward[..., : len(self._masses) * 3] += needed.reshape(rows)
         # By where the center of mass is between the feet.
         feet = 0.5 * after[0][..., self._feet, :2].sum(axis=-2)
-        left, right = np.moveaxis(feet, -2, 0)
+        left, right = feet[..., 0, :], feet[..., 1, :]
         across, middle = left - right, self._shares @ after[0][..., :2]
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
-        left_share = np.clip(left_share, 0.0, 1.0)
+        left_share = left_share.clip(0.0, 1.0)
         return Move(duration, before, after, forward, left_share)

@@ -23,7 +23,8 @@ class StandingFeet:
     """
 
     def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:
-        self._data, self._soles, self._weight = data, soles, weight
+        self._upward, self._soles = data.xfrc_applied[:, 2], soles
+        self._weight = weight
         self.start()
 
     def start(self) -> None:
@@ -44,7 +45,7 @@ class StandingFeet:
         if wanted.all():
             wanted = np.array([move.left_share, 1.0 - move.left_share])
         most = move.duration / _LOADING_TIME
-        loads = self._load + np.clip(wanted - self._load, -most, most)
+        loads = self._load + (wanted - self._load).clip(-most, most)
         self._load, self._pressing = np.where(wanted > 0.0, loads, 0.0), np.zeros(2)
         self._began = self._carried, self.lifting
 
@@ -59,5 +60,5 @@ class StandingFeet:
         self._carried += share * (self.lifting - self._carried)
         carried = min(max(self._carried, 0.0), _HARDEST_STEP * self._weight)
         pressing = self._load * carried
-        self._data.xfrc_applied[self._soles, 2] -= pressing - self._pressing
+        self._upward[self._soles] -= pressing - self._pressing
         self._pressing = pressing

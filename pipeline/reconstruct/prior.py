@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.npz import read_arrays
@@ -52,7 +52,7 @@ _STANDING = 95.0  # percentile of the root's height that counts as standing. A g
 _NEAR = 0.2  # s from the ends of a gap within which the departure fades to zero
 
 Segments = tuple[int, ...]
-Network = list[tuple[Array, Array]]
+Network = list[tuple[Singles, Singles]]
 Mode = Literal["between", "before", "unseen"]
 """What is known of a hidden limb: its motion before and after, before, or nothing."""
 
@@ -77,8 +77,8 @@ class MotionPrior:
             layers: Network = []
             while (at := f"{name}_weights_{len(layers)}") in arrays:
                 bias = arrays[at.replace("weights", "biases")]
-                layers.append((arrays[at].astype(float), bias.astype(float)))
-            networks[name] = (arrays[f"{name}_mean"].astype(float), layers)
+                layers.append((arrays[at].astype(np.float32), bias))
+            networks[name] = (arrays[f"{name}_mean"], layers)
         return cls(networks)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -98,13 +98,14 @@ class MotionPrior:
         ``posture_inputs``.
         """
         mean, layers = self.networks[name]
-        values = np.where(np.isnan(inputs), 0.0, inputs - mean)
+        given = np.where(np.isnan(inputs), 0.0, inputs - mean)
+        values: Singles = given.astype(np.float32)
         for k, (weights, biases) in enumerate(layers):
             values = values @ weights + biases
             if k < len(layers) - 1:
                 values = np.maximum(values, 0.0)
         most = _MOST_UNSEEN if name.endswith("unseen") else _MOST
-        return np.clip(OUTPUT * values, -most, most)
+        return np.asarray((OUTPUT * values).clip(-most, most))
 
     def describe(self, hidden: Stretches) -> Descriptions:
         """Describe stretches as ``windows.describe`` does, with the learned base."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from threadpoolctl import ThreadpoolController
 
 from kinefilter.characters.arrays import Array, Indices, runs
@@ -55,7 +55,8 @@ class Process:
     def predict(self, features: Array) -> Array:
         """Return the mean times one minus the variance, shape (N, C)."""
         kernel = _kernel(features, self.features)
-        variance = 1.0 - np.sum(kernel.T * cho_solve(self.factor, kernel.T), axis=0)
+        half = solve_triangular(self.factor[0], kernel.T, lower=True)
+        variance = 1.0 - np.sum(half**2, axis=0)
         certainty = 1.0 - np.clip(variance, 0.0, 1.0)
         return np.asarray(certainty[:, None] * (kernel @ self.weights))
 
@@ -178,7 +179,7 @@ def _kernel(a: Array, b: Array) -> Array:
 
 def _squares(a: Array, b: Array) -> Array:
     """Return squared distances of rows, shape (A, B)."""
-    squares = np.sum(a * a, axis=1)[:, None] + np.sum(b * b, axis=1) - 2.0 * a @ b.T
+    squares = np.vecdot(a, a)[:, None] + np.vecdot(b, b) - 2.0 * a @ b.T
     return np.asarray(np.maximum(squares, 0.0))
 
 

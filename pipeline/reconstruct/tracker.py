@@ -108,12 +108,12 @@ class HiddenLimbTracker:
                 likely = unit(bones[pointed])
                 bones[pointed] = last[pointed] + share * (likely - last[pointed])
             directions[pointed] = unit(bones[pointed])
+        seen = known & skeleton.hands
+        bent = directions[seen] - directions[self._parents[seen]]
+        self._bent[seen] += _NEW * (bent - self._bent[seen])
         for j in self._hands:
-            along = directions[self._parents[j]]
-            if known[j]:
-                self._bent[j] += _NEW * (directions[j] - along - self._bent[j])
-            else:
-                directions[j] = unit(along + self._bent[j])
+            if not known[j]:
+                directions[j] = unit(directions[self._parents[j]] + self._bent[j])
         self._known[k], self._directions[k] = known, directions
         self._positions[k] = self._placed(placed, there, directions)
         for limb, joints in enumerate(self._limbs):

@@ -206,9 +206,10 @@ def describe(hidden: Stretches) -> Descriptions:
         features.append(_flat(held[0] - base) / _HELD)
         base, still = held
     features += [elapsed[..., None] / _TIME for elapsed in hidden.time[: 1 + ahead]]
-    wide = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
+    if frames.shape[1] > 1:
+        features = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
     truth = seen.directions[frames][..., list(limb.hidden), :]
-    return Descriptions(np.concatenate(wide, axis=2), base, still, truth)
+    return Descriptions(np.concatenate(features, axis=2), base, still, truth)
 
 
 def visible_motion(

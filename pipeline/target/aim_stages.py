@@ -61,11 +61,10 @@ class _Aim(Stage):
         """Aim, but leave what was pinned by hand where it is."""
         before, turns = draft.positions, draft.rotations
         self._aim(draft, chains, filters)
-        for start, *joints in zip(chains.starts, *chains.joints, strict=True):
-            firm = draft.bone_weights[..., joints].max(axis=-1)
-            share = np.clip((firm - 1.0) / (PLANTED - 1.0), 0.0, 1.0)[..., None]
-            if not share.any():
-                continue
+        firm = draft.bone_weights[..., chains.joints].max(axis=-2)
+        shares = ((firm - 1.0) / (PLANTED - 1.0)).clip(0.0, 1.0)
+        for k in np.flatnonzero(shares.reshape(-1, firm.shape[-1]).any(axis=0)):
+            share, start = shares[..., k, None], int(chains.starts[k])
             moved = [start, *draft.skeleton.descendants(start)]
             here, there = draft.positions[..., moved, :], before[..., moved, :]
             draft.positions[..., moved, :] = here + share[..., None] * (there - here)

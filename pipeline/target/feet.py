@@ -93,8 +93,8 @@ def planted_feet(contacts: Flags) -> Flags:
 def _odds(speed: Array, height: Array, above: Array) -> Array:
     """Return the log odds of being planted, shape (..., 2)."""
     odds = _BASE_ODDS - _PER_SPEED * np.minimum(speed, 1.0)
-    odds -= _PER_LIFT * np.clip(height - height[..., ::-1], _LOWER, _HIGHER)
-    odds -= _PER_HEIGHT * np.clip(above, 0.0, _HIGHER)
+    odds -= _PER_LIFT * (height - height[..., ::-1]).clip(_LOWER, _HIGHER)
+    odds -= _PER_HEIGHT * above.clip(0.0, _HIGHER)
     return np.asarray(odds)
 
 
@@ -104,7 +104,7 @@ def _most_probable(log_odds: Array) -> Flags:
     # and which cap it hits says where the best sequence came from.
     lead = log_odds.copy()
     for k in range(1, len(lead)):
-        lead[k] += np.clip(lead[k - 1], -_SWITCH, _SWITCH)
+        lead[k] += lead[k - 1].clip(-_SWITCH, _SWITCH)
     stands = lead > 0.0
     for k in range(len(lead) - 2, -1, -1):
         stands[k] = np.where(stands[k + 1], lead[k] > -_SWITCH, lead[k] > _SWITCH)
@@ -140,7 +140,7 @@ class StanceTracker:
         speed = np.linalg.norm(moved, axis=1) / dt
         height = self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
-        lead = np.clip(self._lead + odds * dt * _RATE, -_SWITCH, _SWITCH)
+        lead = (self._lead + odds * dt * _RATE).clip(-_SWITCH, _SWITCH)
         away = np.linalg.norm((self._paths - self._places)[:, [0, 2]], axis=1)
         stood = self._stands
         self._lead = np.where(stood & (away > _DRIFT), -_SWITCH, lead)
@@ -159,7 +159,7 @@ class StanceTracker:
         slides = ~self._stands & (speed > _SLIDE_SPEED)
         most = _CLEARANCE / _LIFT_TIME * dt
         needed = np.where(slides, _CLEARANCE, 0.0)
-        self._lifted = self._lifted + np.clip(needed - self._lifted, -most, most)
+        self._lifted = self._lifted + (needed - self._lifted).clip(-most, most)
         above = np.where(self._stands, 0.0, toes[:, 1] - soles)
         return np.maximum(self._lifted - above, 0.0)
 

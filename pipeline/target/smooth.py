@@ -44,9 +44,9 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
         return values.copy()
     grid, step = _grid(time)
     stiffness = np.full(grid[-1] + 1 - _ORDER, _stiffness(cutoff, step))
-    smoothed = np.empty_like(values)
+    bands, smoothed = penalty(stiffness, _THIRD), np.empty_like(values)
     for j in range(values.shape[1]):
-        smoothed[:, j] = _solve(stiffness, grid, values[:, j], weights[:, j])[grid]
+        smoothed[:, j] = _solve(bands, grid, values[:, j], weights[:, j])[grid]
     return smoothed
 
 
@@ -79,7 +79,8 @@ def _by_speed(
     """Return the smoothed path of one joint, shape (T, 3)."""
 
     def smoothed(rates: Array) -> Array:  # cutoffs [Hz], one per third difference
-        return _solve(_stiffness(rates, step), grid, values, weights)
+        bands = penalty(_stiffness(rates, step), _THIRD)
+        return _solve(bands, grid, values, weights)
 
     rates = np.minimum(_FIRST_CUTOFF, highest)
     for _ in range(_PASSES):
@@ -119,12 +120,13 @@ def _stiffness(cutoff: Any, step: float) -> Any:
     return (2.0 * np.sin(np.pi * cutoff * step)) ** (-2 * _ORDER)
 
 
-def _solve(stiffness: Array, grid: Indices, values: Array, weights: Array) -> Array:
-    """Return the smoothed path of a joint in all frames of the grid, (length, C)."""
-    length = len(stiffness) + _ORDER
-    system = penalty(stiffness, _THIRD)
+def _solve(bands: Array, grid: Indices, values: Array, weights: Array) -> Array:
+    """Return the smoothed path of a joint in all frames of the grid, (length, C).
+
+    ``bands`` are those of the penalty, shape (order + 1, length).
+    """
+    system, right = bands.copy(), np.zeros((bands.shape[1], values.shape[1]))
     system[0, grid] += weights
-    right = np.zeros((length, values.shape[1]))
     right[grid] = weights[:, None] * values
     return np.asarray(solveh_banded(system, right, lower=True))
 

@@ -14,6 +14,7 @@ from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.rotations import cross
 
 from .feet import ankles_and_toes, flat_height
 from .floor import clearances
@@ -49,11 +50,11 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
             center, wrench = required_wrench(time[part][run], path, body)
             for some in chunks(len(center), _CHUNK):
                 cones, down = _contacts(path[1:-1][some], center[some], body)
-                for k, needed in enumerate(wrench[some]):
+                left = wrench[some]
+                for k in np.flatnonzero(down.any(axis=1)):
                     edges = cones[k, down[k]].reshape(-1, 6).T
-                    if edges.size:
-                        needed = needed - edges @ nnls(edges, needed)[0]
-                    inner[some][k] = needed.reshape(2, 3)
+                    left[k] -= edges @ nnls(edges, left[k])[0]
+                inner[some] = left.reshape(-1, 2, 3)
     force, moment = np.linalg.norm(residuals, axis=2).T
     return force, moment
 
@@ -75,7 +76,7 @@ def required_wrench(time: Array, positions: Array, body: Body) -> tuple[Array, A
     for j, share in enumerate(shares):
         arm = positions[:, j] - center
         between = 0.5 * (arm[1:] + arm[:-1])
-        momenta[:, 1] += share * np.cross(between, np.diff(arm, axis=0) / steps)
+        momenta[:, 1] += share * cross(between, np.diff(arm, axis=0) / steps)
     rates = np.diff(momenta, axis=0) / (0.5 * (steps[1:] + steps[:-1]))[..., None]
     rates = smooth(time[1:-1], rates, np.ones(rates.shape[:2]), cutoff=_CUTOFF)
     rates[:, 0, 1] += GRAVITY
@@ -102,7 +103,7 @@ def _contacts(positions: Array, center: Array, body: Body) -> tuple[Array, Flags
         corners = heel - aside, heel + aside, tip - aside, tip + aside
         points.append(np.stack(corners, axis=1))
     contacts = np.concatenate(points, axis=1)
-    moments = np.cross((contacts - center[:, None])[:, :, None], _EDGES)
+    moments = cross((contacts - center[:, None])[:, :, None], _EDGES)
     forces = np.broadcast_to(_EDGES, moments.shape)
     cones = np.concatenate([forces, moments], axis=3)
     return cones, np.asarray(contacts[..., 1] < _NEAR)

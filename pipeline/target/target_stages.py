@@ -173,7 +173,7 @@ class Floor(Stage):
             while soles[0][0] < now - _FLOOR_TIME:
                 soles.popleft()
             # The newest counts twice, so that it decides when there are two.
-            usual = median([sole, *(height for _, height in soles)])
+            usual = median([sole, *[height for _, height in soles]])
             height = sole if self._height is None else self._height
             if abs(height - usual) > _FLOOR_NEAR:
                 height = usual
