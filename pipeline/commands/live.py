@@ -98,16 +98,18 @@ async def _show(session: Session) -> None:
     from rich.live import Live as Display
     from rich.text import Text
 
-    printed: list[str] = []
+    printed, silent = list[str](), 0.0
     shown = Display(console=err, auto_refresh=False, transient=True)
     with shown if err.is_terminal else nullcontext() as display:
         while True:
-            await asyncio.sleep(_REFRESH if display else _LOGGED)
+            await asyncio.sleep(_REFRESH)
+            silent += _REFRESH
             if display:
                 line = Text(status(session), overflow="ellipsis")
                 display.update(line, refresh=True)
-            else:
+            elif silent >= _LOGGED:
                 err.print(status(session))
+                silent = 0.0
             notes = session.tally.all_notes()
             for note in notes:
                 if note not in printed:
@@ -199,6 +201,9 @@ class Replay:
         stop = asyncio.Event()
         with stopped_by_signals(stop):
             async with open_sender(
-                address, token_file=self.token_file, certificate=self.certificate
+                address,
+                token_file=self.token_file,
+                certificate=self.certificate,
+                say=err.print,
             ) as send:
                 return await replay(takes, send, stop, speed=self.speed, loop=self.loop)
