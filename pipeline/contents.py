@@ -93,12 +93,13 @@ def contents_of(
 
 
 def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
-    people, times = read_glb_times(path)
+    people, times, root = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
     many = {"people": len(people)} if len(people) > 1 else {}
     known = {"kind": "clip", "format": "glb", **many, "joints": len(people[0])}
-    return known | _timing(times)
+    moves = {} if root is None else {"in_place": root != "travel"}
+    return known | _timing(times) | moves
 
 
 def _of_npz(name: str) -> dict[str, Any]:
