@@ -71,12 +71,13 @@ def _counts(outcome: Outcome) -> str:
     others = sum(row.status == "no take" for row in rows)
     sensors = [len(row.sensors) for row in rows if row.status == "done"]
     sessions, alone = sum(n > 1 for n in sensors), sensors.count(1)
-    damaged = len(outcome.damaged)
+    damaged, earlier = len(outcome.damaged), outcome.earlier
     counts = (
         (True, f"{counted(done, 'take')} cleaned, {len(outcome.failed)} failed"),
         (sessions, f"{counted(sessions, 'clip')} of several sensors"),
         (alone, f"{alone} without a partner (see manifest.csv)"),
         (kept, f"{kept} already done"),
+        (earlier, f"{earlier} of an earlier run only (see manifest.csv)"),
         (damaged, f"{damaged} with damage (see manifest.csv)"),
         (others, f"{counted(others, 'other file')} skipped"),
     )
