@@ -360,7 +360,7 @@ def _told(edit: Edit, draft: Draft, final: Array) -> str:
     frame = int(edit.frames(draft.time - draft.time[0]).argmax())
     place = final[frame, draft.skeleton.index(edit.joints[0])]
     short = float(np.linalg.norm(place - edit.position))
-    reach = f": {short:.2g} m short; pin it where the body reaches"
+    reach = f": {short:.1f} m short; pin it where the body reaches"
     return f"{edit}{reach if short > _OUT_OF_REACH else ''}"
 
 
