@@ -94,6 +94,8 @@ def test_a_limb_that_is_distrusted_goes_on_as_if_it_were_hidden(
     assert apart(found, hidden)[inside].max() < 0.02  # but for how long segments are
     assert (found.clip.origin[np.ix_(inside, ARM)] == Origin.FILLED).all()
     assert "edited: right-arm distrusted from 2 to 3 s" in found.notes
+    moment = Edit("distrust", 7.1, 7.1, ("Head",))
+    assert moment.summary == "Head distrusted at 7.1 s"
 
     def error(result: CleanResult) -> float:
         away = result.clip.positions - result.clip.root[:, None]
@@ -352,7 +354,7 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
         (table("distrust", joints='"RightArm"'), "unknown joint 'RightArm'; known: "),
         (
             table("exchange", 99.0, 100.0),
-            "edits.toml: exchange 1: from 99 to 100 s covers no frame; the take is",
+            "edits.toml: exchange 1: no frame is from 99 to 100 s; the take is",
         ),
         (
             '[[pin]]\njoint = "arm"\ntime = 1\nposition = [0, 1, 0]',
@@ -360,7 +362,7 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
         ),
         (
             '[[pin]]\njoint = "Head"\ntime = 99\nposition = [0, 1, 0]',
-            "from 99 to 99 s covers no frame",
+            "no frame is at 99 s",
         ),
         (
             table("distrust", 0.0, 1e6, ", ".join(f'"{j}"' for j in KINECT_V2.joints)),
