@@ -128,6 +128,11 @@ def _of_npz(name: str) -> dict[str, Any]:
             "motions": len(set(base.labels.tolist())),
             "recorded": base.recorded,
         }
+    elif "global_joint_positions" in arrays:
+        raise InputError(
+            f"{name}: is an export with --rig (smplx, for example) for other tools, "
+            "which cannot be read back; write a clip without --rig"
+        )
     else:
         raise InputError(
             f"{name}: not a kinefilter clip, pairs file, model or motion database; it "

@@ -10,11 +10,14 @@ from pathlib import Path
 
 import pytest
 from batch_folders import clean_folder, rows_of, table_of
+from rich.console import Console
 
 from kinefilter import CleanConfig
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import manifest
 from kinefilter.pipeline.batch.manifest import Row, open_manifest, parse_rows, write_csv
+from kinefilter.pipeline.batch.outcome_tables import as_tables
+from kinefilter.pipeline.batch.run import Outcome
 from kinefilter.pipeline.batch.store import remove_unfinished, store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import terminal
@@ -167,3 +170,19 @@ def test_a_take_that_is_gone_keeps_its_row_and_clip(
     assert "2 already done, 1 of an earlier run only (see manifest.csv)" in said
     assert "a.csv" in {row["take"] for row in table_of(out)}
     assert (out / "a.usdc").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "shown"),
+    [
+        ("/takes/a/b.csv: row 3 is short", "row 3 is short"),
+        ("/x/aa/b.csv: is no contacts file", "/x/aa/b.csv: is no contacts file"),
+        ("its process died twice", "its process died twice"),
+    ],
+)
+def test_the_summary_gives_an_error_without_the_path_of_its_take(
+    error: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = Row("a/b.csv", "failed", "a/b.usdc", "", error=error)
+    Console(width=200).print(as_tables(Outcome(rows=[row])))
+    assert f"a/b.csv │ {shown}" in capsys.readouterr().out

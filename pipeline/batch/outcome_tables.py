@@ -29,7 +29,10 @@ def as_tables(outcome: Outcome) -> RenderableType:
         for name in ("take", "error"):
             table.add_column(name, overflow="fold")
         for row in outcome.failed[:_MAX_FAILED]:
-            table.add_row(row.take, row.error)
+            place, found, error = row.error.partition(f"{row.take}: ")
+            # The path of the take stands beside its name already.
+            named = found and place[-1:] in ("", "/")
+            table.add_row(row.take, error if named else row.error)
         more = len(outcome.failed) - _MAX_FAILED
         table.caption = f"and {more} more, see the manifest" if more > 0 else None
         tables.append(table)
