@@ -42,7 +42,9 @@ def runs(flags: Flags, shortest: int = 1) -> list[slice]:
 def shown(value: object) -> str:
     """Return the beginning of the repr of a value, for error messages."""
     try:
-        return repr(value)[:60].partition("\n")[0]
+        text = repr(value)
+        line = text[:60].partition("\n")[0]
+        return line if line == text else f"{line[:57]}..."
     except Exception:  # a class with a broken repr, or an integer of 5000 digits
         return f"a {type(value).__name__}"
 
@@ -78,16 +80,20 @@ def as_numbers(
     except (TypeError, ValueError, OverflowError):
         array = np.array("")
     if array.dtype.kind not in ("biuf" if shape else "iuf"):
-        wanted = f"numbers of shape {shape}" if shape else "a number"
+        wanted = f"numbers of shape {_told(shape)}" if shape else "a number"
         raise InputError(f"{what} is {shown(value)}, expected {wanted}{of}")
     if len(array.shape) != len(shape) or any(
         length not in (None, given)
         for length, given in zip(shape, array.shape, strict=True)
     ):
-        raise InputError(f"{what} has shape {array.shape}, expected {shape}{of}")
+        raise InputError(f"{what} has shape {array.shape}, expected {_told(shape)}{of}")
     if finite and not np.isfinite(array).all():
         raise InputError(f"{what} has NaN or infinite values; give finite numbers")
     return array
+
+
+def _told(shape: Lengths) -> str:
+    return str(shape).replace("None", "any")
 
 
 def as_number(value: Any, what: str) -> float:

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Body, Clip, InputError, Take, Tracking
-from kinefilter.characters.arrays import Array, as_number, check_choice, check_kind
+from kinefilter.characters.arrays import (
+    Array,
+    as_number,
+    check_choice,
+    check_kind,
+    runs,
+)
 from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
 from kinefilter.characters.motion import LATEST_TIME_STAMP
 
@@ -27,6 +33,7 @@ from .draft import Draft, Unedited
 from .editing import clean_again, unedited
 from .edits import Edit, edited, read_edits
 from .failures import Failure, describe_failures, find_displaced
+from .formats.plain import times_told
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .physics.stage import Physics
@@ -360,7 +367,7 @@ def _told(edit: Edit, draft: Draft, final: Array) -> str:
     frame = int(edit.frames(draft.time - draft.time[0]).argmax())
     place = final[frame, draft.skeleton.index(edit.joints[0])]
     short = float(np.linalg.norm(place - edit.position))
-    reach = f": {short:.2g} m short; pin it where the body reaches"
+    reach = f": {short:.1f} m short; pin it where the body reaches"
     return f"{edit}{reach if short > _OUT_OF_REACH else ''}"
 
 
@@ -378,4 +385,9 @@ def _notes(draft: Draft) -> Iterable[str]:
     if draft.turn.roll:
         yield "--tilt 0 leaves the sensor's frame as it is"
     if draft.trace is not None and draft.trace.reset.any():
-        yield f"physics: {draft.trace.status}"
+        starts = [draft.time[k.start] - draft.time[0] for k in runs(draft.trace.reset)]
+        yield (
+            f"physics: {draft.trace.status}, {times_told([(t, t) for t in starts])}: "
+            "before that the clip shows the target; if a limb is wrong in it, distrust "
+            "that limb with --edits"
+        )

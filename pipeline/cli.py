@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import reduce
 from importlib import import_module
+from importlib.metadata import version
 from io import TextIOWrapper
 from operator import or_
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from tyro.conf import subcommand
 
 from kinefilter.characters import InputError
 
-from .commands.terminal import ended_gently, err
+from .commands.terminal import ended_gently, err, out
 from .formats.plain import printable
 from .workers import one_thread, set_variables
 
@@ -47,7 +48,7 @@ _ABOUT = f"""Turn noisy Kinect takes into clips that animators ship.
 {chr(10).join(f"- {group}: {names}" for group, names in _GROUPS.items())}
 
 'kinefilter COMMAND --help' describes a command. Its group may come before it, as in
-'kinefilter lab rate'.
+'kinefilter lab rate'. 'kinefilter --version' prints the version.
 
 Exit codes: 0, done, also when Ctrl-C or SIGTERM ended live, replay, play or view; 1,
 done, but some takes or clips were left out, the recording of live ended early, a metric
@@ -92,6 +93,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
+    if words == ["--version"]:
+        out.print(f"kinefilter {version('kinefilter')}")
+        return 0
     if words and words[0] not in COMMANDS:  # 'lab rate' means 'rate'
         group = _GROUPS.get(words[0], "").split(", ")
         words = words[1:] if words[1:2] and words[1] in group else words

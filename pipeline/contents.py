@@ -93,12 +93,13 @@ def contents_of(
 
 
 def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
-    people, times = read_glb_times(path)
+    people, times, root = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
     many = {"people": len(people)} if len(people) > 1 else {}
     known = {"kind": "clip", "format": "glb", **many, "joints": len(people[0])}
-    return known | _timing(times)
+    moves = {} if root is None else {"in_place": root != "travel"}
+    return known | _timing(times) | moves
 
 
 def _of_npz(name: str) -> dict[str, Any]:
@@ -127,6 +128,11 @@ def _of_npz(name: str) -> dict[str, Any]:
             "motions": len(set(base.labels.tolist())),
             "recorded": base.recorded,
         }
+    elif "global_joint_positions" in arrays:
+        raise InputError(
+            f"{name}: is an export with --rig (smplx, for example) for other tools, "
+            "which cannot be read back; write a clip without --rig"
+        )
     else:
         raise InputError(
             f"{name}: not a kinefilter clip, pairs file, model or motion database; it "

@@ -106,14 +106,19 @@ class Edit:
     @property
     def summary(self) -> str:
         """The edit in words."""
-        what = ", ".join(self.joints)
-        when = f"from {self.begin:.4g} to {self.end:.4g} s"
+        what, when = ", ".join(self.joints), self.when
         return {
             "distrust": f"{what} distrusted {when}",
             "exchange": f"left and right swapped {when}",
             "contact": f"{self.part} {('lifted', 'planted')[self.stands]} {when}",
-            "pin": f"{what} pinned at {self.begin:.4g} s",
+            "pin": f"{what} pinned {when}",
         }[self.kind]
+
+    @property
+    def when(self) -> str:
+        """The time in words."""
+        begin, end = f"{self.begin:.4g}", f"{self.end:.4g}"
+        return f"at {begin} s" if begin == end else f"from {begin} to {end} s"
 
     def frames(self, since: Array) -> Flags:
         """Return which frames are edited, by their times [s] after the first, (T,)."""
@@ -252,6 +257,5 @@ def _check(edit: Edit, frames: Flags, take: Take) -> None:
     length = take.time[-1] - take.time[0]
     if not frames.any() or edit.begin > length + _ROUNDING:
         raise InputError(
-            f"{where}: from {edit.begin:g} to {edit.end:g} s covers no frame; the take "
-            f"is {length:.1f} s long"
+            f"{where}: no frame is {edit.when}; the take is {length:.1f} s long"
         )

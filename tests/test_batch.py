@@ -265,6 +265,12 @@ def test_exit_codes_say_what_became_of_the_batch(
         ([".", "--character", "sam.usda"], "--character sam.usda"),
         ([".", "--scheduler", "tcp://x:1", "--jobs", "2"], "--scheduler"),
         ([".", "--cutoff", "0.1"], "--cutoff"),
+        (["../wrong"], "wrong/kinefilter.toml: unknown scene 'nope'; known: basic,"),
+        (
+            ["../wrong", "--scene", "no"],
+            "kinefilter: unknown scene 'no'; known: basic,",
+        ),
+        (["../wrong", "--scene", "box"], "kinefilter.toml: unknown rig 'mixmo'"),
     ],
 )
 def test_wrong_commands_write_nothing(
@@ -275,6 +281,10 @@ def test_wrong_commands_write_nothing(
     words: str,
 ) -> None:
     (takes / "wrong.toml").write_text('colour = "red"\n')
+    own = takes.with_name("wrong") / "kinefilter.toml"
+    own.parent.mkdir()
+    own.write_text('scene = "nope"\nrig = "mixmo"\n')
+    own.with_name("a.csv").write_text("")
     monkeypatch.chdir(takes)
     before = sorted(takes.rglob("*"))
     assert main(["batch", *arguments, "-o", "clips"]) == 2

@@ -10,12 +10,17 @@ from pathlib import Path
 
 import pytest
 from batch_folders import clean_folder, rows_of, table_of
+from rich.console import Console
 
 from kinefilter import CleanConfig
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch import manifest
 from kinefilter.pipeline.batch.manifest import Row, open_manifest, parse_rows, write_csv
+from kinefilter.pipeline.batch.outcome_tables import as_tables
+from kinefilter.pipeline.batch.run import Outcome
 from kinefilter.pipeline.batch.store import remove_unfinished, store_at
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.commands import terminal
 from kinefilter.pipeline.settings import Settings
 
 
@@ -129,3 +134,55 @@ def test_rows_say_all_there_is_to_say_as_json() -> None:
     assert Row.from_json(row.as_json()) == row
     assert "\n" not in row.as_json()
     assert json.loads(row.as_json())["take"] == "é"
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("seconds", [0.0, 60.0])
+def test_a_log_gets_a_line_of_progress_now_and_then(
+    takes: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    seconds: float,
+) -> None:
+    monkeypatch.setattr(terminal, "_LOGGED", seconds)
+    options = ["--method", "none", "--no-physics"]
+    assert main(["batch", str(takes), "-o", str(tmp_path / "clips"), *options]) == 0
+    with terminal.progress_bars() as progress:
+        assert list(progress("physics", 2)) == [0, 1]
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:1] + lines[-3:] == (
+        [] if seconds else ["clean 0/6", "clean 6/6", "physics 0/2", "physics 1/2"]
+    )
+
+
+@pytest.mark.usefixtures("here")
+def test_a_take_that_is_gone_keeps_its_row_and_clip(
+    takes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "clips"
+    command = ["batch", str(takes), "-o", str(out), "--method", "none", "--no-physics"]
+    assert main(command) == 0
+    assert "earlier" not in capsys.readouterr().out
+    (takes / "a.csv").unlink()
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "2 already done, 1 of an earlier run only (see manifest.csv)" in said
+    assert "a.csv" in {row["take"] for row in table_of(out)}
+    assert (out / "a.usdc").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "shown"),
+    [
+        ("/takes/a/b.csv: row 3 is short", "row 3 is short"),
+        ("/x/aa/b.csv: is no contacts file", "/x/aa/b.csv: is no contacts file"),
+        ("its process died twice", "its process died twice"),
+    ],
+)
+def test_the_summary_gives_an_error_without_the_path_of_its_take(
+    error: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = Row("a/b.csv", "failed", "a/b.usdc", "", error=error)
+    Console(width=200).print(as_tables(Outcome(rows=[row])))
+    assert f"a/b.csv │ {shown}" in capsys.readouterr().out

@@ -94,6 +94,8 @@ def test_a_limb_that_is_distrusted_goes_on_as_if_it_were_hidden(
     assert apart(found, hidden)[inside].max() < 0.02  # but for how long segments are
     assert (found.clip.origin[np.ix_(inside, ARM)] == Origin.FILLED).all()
     assert "edited: right-arm distrusted from 2 to 3 s" in found.notes
+    moment = Edit("distrust", 7.1, 7.1, ("Head",))
+    assert moment.summary == "Head distrusted at 7.1 s"
 
     def error(result: CleanResult) -> float:
         away = result.clip.positions - result.clip.root[:, None]
@@ -199,12 +201,15 @@ def test_how_far_a_joint_is_from_a_pin_out_of_reach_is_told(
 ) -> None:
     frame = int(np.abs(pair.take.time - pair.take.time[0] - 2.5).argmin())
     x, y, z = before.clip.positions[frame, ARM[0]].tolist()
-    pin = Edit("pin", 2.5, 2.5, ("ElbowRight",), position=(x, y + 3.0, z))
+    pin = Edit("pin", 2.5, 2.5, ("ElbowRight",), position=(x, y + 1.9, z))
     found = Cleaner().clean(pair.take, edits=[pin], before=unedited)
-    short = y + 3.0 - found.clip.positions[frame, ARM[0], 1]
-    assert 2.0 < short < 3.0
-    assert found.notes[0].startswith("edited: ElbowRight pinned at 2.5 s: 2")
+    short = y + 1.9 - found.clip.positions[frame, ARM[0], 1]
+    assert 1.0 < short < 1.9
+    assert found.notes[0].startswith("edited: ElbowRight pinned at 2.5 s: 1.")
     assert found.notes[0].endswith(" m short; pin it where the body reaches")
+    far = replace(pin, position=(x, y + 50.0, z), source="a.toml: pin 1")
+    with pytest.raises(InputError, match=r"a.toml: pin 1: ElbowRight is 50\.\d m away"):
+        Cleaner().clean(pair.take, edits=[far], before=unedited)
 
 
 @pytest.mark.parametrize("stands", [True, False])
@@ -349,7 +354,7 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
         (table("distrust", joints='"RightArm"'), "unknown joint 'RightArm'; known: "),
         (
             table("exchange", 99.0, 100.0),
-            "edits.toml: exchange 1: from 99 to 100 s covers no frame; the take is",
+            "edits.toml: exchange 1: no frame is from 99 to 100 s; the take is",
         ),
         (
             '[[pin]]\njoint = "arm"\ntime = 1\nposition = [0, 1, 0]',
@@ -357,7 +362,7 @@ def test_a_file_that_says_nothing_of_the_kind_is_refused(
         ),
         (
             '[[pin]]\njoint = "Head"\ntime = 99\nposition = [0, 1, 0]',
-            "from 99 to 99 s covers no frame",
+            "no frame is at 99 s",
         ),
         (
             table("distrust", 0.0, 1e6, ", ".join(f'"{j}"' for j in KINECT_V2.joints)),

@@ -91,6 +91,17 @@ def test_an_example_without_arguments_prints_its_usage(path: Path) -> None:
     assert done.stderr.startswith(f"usage: {usage}\n")
 
 
+@pytest.mark.parametrize("name", ["own_rig.py", "own_corrector.py"])
+def test_an_example_refuses_what_it_cannot_write_in_one_line(
+    take: Path, tmp_path: Path, name: str
+) -> None:
+    command = [sys.executable, EXAMPLES / name, take, tmp_path / "rig.foo"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "unknown extension '.foo'" in done.stderr
+
+
 def test_there_are_no_examples_that_are_not_run() -> None:
     tested = Path(__file__).read_text(encoding="utf-8")
     for path in EXAMPLES.glob("*.py"):

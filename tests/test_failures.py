@@ -353,5 +353,8 @@ def test_a_limb_that_cleaning_moves_far_is_told() -> None:
 
 def test_failures_are_told_in_seconds_since_the_first_frame() -> None:
     failure = Failure(FailureKind.LEAPING, "left arm", 30, 45, 101.0, 101.5)
-    (told,) = describe_failures([failure], 100.0)
-    assert "(1.0 to 1.5 s)" in told
+    moment = replace(failure, start=107.12, end=107.14)
+    (told,) = describe_failures([failure, moment], 100.0)
+    assert "(1.0 to 1.5, at 7.1 s)" in told
+    (told,) = describe_failures([moment] * 7, 100.0)
+    assert "at 7.1, at 7.1 s and 2 more times)" in told

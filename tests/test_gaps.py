@@ -29,7 +29,7 @@ from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export
-from kinefilter.pipeline.formats.export import resampled
+from kinefilter.pipeline.formats.export import even_frames, resampled
 from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
@@ -277,6 +277,11 @@ def test_resampled_frames_hold_still_in_a_gap(held: CleanResult) -> None:
     np.testing.assert_allclose(even.positions[inside], still, atol=1e-9)
     assert (even.origin[inside] == Origin.FILLED).all()
     assert (even.origin[even.time < start] < Origin.FILLED).all()
+
+
+def test_a_gap_hardly_too_long_is_not_rounded_to_the_limit() -> None:
+    with pytest.raises(InputError, match=r"600\.1 s in all, expected 600 s at most"):
+        even_frames(np.array([0.0, 1.0, 601.03]), 30.0, "gap.csv")
 
 
 @pytest.mark.usefixtures("usd_here")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 
 import pytest
 
@@ -24,3 +25,8 @@ def test_help_wraps_a_line_only_where_the_next_word_does_not_fit(
             wrapped += 1
             assert len(f"{line.rstrip()} {following.split()[0]}") > len(line), line
     assert wrapped > 5
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"kinefilter \d+\.\d+\.\d+\n", capsys.readouterr().out)

@@ -19,6 +19,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of, contents_of_take
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_clip, write_contacts, write_take_csv
+from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 
 MakeClip = Callable[..., Clip]
@@ -143,6 +144,14 @@ def test_every_written_clip_is_told(
         assert (contents["unit"], contents["up_axis"]) == ("1 m", "Y")
         assert "kinefilter:contacts" in contents["attributes"]
         assert set(KINECT_V2.joints) <= set(contents["names"])
+
+
+def test_an_export_that_cannot_be_read_back_is_named(
+    make_clip: MakeClip, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_clip(make_clip(31, KINECT_V2), tmp_path / "clip.npz", Export(rig="smplx"))
+    assert main(["info", str(tmp_path / "clip.npz")]) == 2
+    assert "clip.npz: is an export with --rig (smplx," in capsys.readouterr().err
 
 
 def test_databases_and_pairs_are_told(

@@ -323,9 +323,10 @@ def test_arrays_never_run_what_is_in_them_nor_ask_for_much(tmp_path: Path) -> No
     data = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 33, 3)}
     np.lib.format.write_array_header_1_0(data, header)  # type: ignore[arg-type]
-    path.write_bytes(data.getvalue() + b"\0" * 99)
-    with pytest.raises(InputError, match=r"a\.npy: cannot be read as npy"):
-        read_take(path)
+    for damaged in (data.getvalue() + b"\0" * 99, b"\x82\xff\n" * 99):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.npy: cannot be read as npy"):
+            read_take(path)
 
 
 def test_zipped_arrays_are_read(tmp_path: Path) -> None:

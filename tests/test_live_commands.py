@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from live_session import PATIENCE, SAMPLE, Sender, sample_frame
 
 from kinefilter import read_take, scenes
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.commands.live import Live, Replay, status, summary
+from kinefilter.pipeline.commands.live import Live, Replay, _show, status, summary
 from kinefilter.pipeline.commands.terminal import stopped_by_signals
 from kinefilter.pipeline.live.endpoints import Address
 from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
@@ -193,6 +193,7 @@ def test_status_and_summary_tell_what_happened() -> None:
     session = Session(LiveConfig(("-",), ("-",), skeleton="kinect_v1"))
     session.receive(format_frame(sample_frame(0)))
     session.receive("nonsense")
+    session.receive('{"time": 1.0, "joints": [null]}')
     session.tally.events[Event.POSES] += 1
     session.tally.latency.add(0.0042)
     line = status(session)
@@ -200,10 +201,26 @@ def test_status_and_summary_tell_what_happened() -> None:
         "1 person, measuring 1",
         "1 frame in, 1 pose out",
         "4.2 ms",
-        "1 malformed",
+        "2 malformed",
     ):
         assert words in line
     table = summary(session.tally)
     cells = [str(cell) for column in table.columns for cell in column.cells]
     assert f"malformed: {Reason.NOT_JSON}" in cells
+    assert "1 joint, but kinect_v1 has 20" in cells
     assert str(Event.LATE) not in cells
+
+
+def test_frames_of_another_skeleton_are_told_at_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    session = Session(LiveConfig(("-",), ("-",)))
+    session.receive(format_frame(sample_frame(0)))
+
+    async def show() -> None:
+        with suppress(TimeoutError):
+            await asyncio.wait_for(_show(session), 1.0)
+
+    asyncio.run(show())
+    said = capsys.readouterr().err
+    assert said == "20 joints, but kinect_v2 has 25: give --skeleton kinect_v1\n"

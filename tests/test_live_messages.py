@@ -113,6 +113,7 @@ def test_a_joint_left_out_null_or_at_the_origin_is_missing() -> None:
         (_line(bodies=[{"id": 1, "joints": {}}] * 2), Reason.BODIES),
         (_line(bodies=[{"id": n, "joints": {}} for n in range(7)]), Reason.BODIES),
         (_line(bodies=[{"id": 1, "joints": {"Tail": [1, 1, 1]}}]), Reason.JOINT),
+        (_line(bodies=[{"id": 1, "joints": [None] * 25}]), Reason.JOINTS),
         (_line(bodies=[{"id": 1, "joints": {"Head": [1, 1, 101]}}]), Reason.NUMBER),
         (_line(bodies=[{"id": 1, "joints": {"Head": [1, 1, 1, 3]}}]), Reason.NUMBER),
         (_line(bodies=[{"id": 1, "joints": {"Head": ["1", 1, 1]}}]), _NO_FRAME),
@@ -122,6 +123,21 @@ def test_what_is_no_frame_has_a_reason(message: str | bytes, reason: Reason) -> 
     with pytest.raises(MalformedError) as caught:
         parse_frame(message, KINECT_V1)
     assert caught.value.reason is reason
+
+
+@pytest.mark.parametrize(
+    ("joints", "note"),
+    [
+        ([None] * 20, "20 joints, but kinect_v2 has 25: give --skeleton kinect_v1"),
+        ([None] * 17, "17 joints, but kinect_v2 has 25"),
+        ({"Spine": None}, "no joint 'Spine' in kinect_v2: give --skeleton kinect_v1"),
+        ({"Tail\n": None}, "no joint 'Tail\\n' in kinect_v2"),
+    ],
+)
+def test_joints_of_another_skeleton_are_told(joints: object, note: str) -> None:
+    with pytest.raises(MalformedError) as caught:
+        parse_frame(_line(bodies=[{"id": 1, "joints": joints}]), KINECT_V2)
+    assert caught.value.note == note
 
 
 def test_no_hostile_message_is_taken_for_a_frame_and_none_raises_anything_else() -> (

@@ -62,12 +62,16 @@ def test_a_replay_round_and_round_goes_on_in_time() -> None:
 
 
 def test_a_replay_connects_again_when_live_comes_back() -> None:
+    said: list[str] = []
+
     async def session() -> None:
         async with running(config(source=WS)) as (_, (source, _)):
             pass
         address = parse_address(str(source), ("ws",))
-        async with open_sender(address) as send:  # nobody is there
+        async with open_sender(address, say=said.append) as send:  # nobody is there
             assert not await send("lost")
+            await asyncio.sleep(0.5)  # for a second attempt
+            assert said == [f"waiting for {address}; frames until then are lost"]
             again = config(source=str(source))
             async with running(again) as (_, (_, out)), reading(out) as stream:
                 asking = asyncio.ensure_future(pose(stream))
@@ -77,6 +81,7 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
                     row += 1
                     await asyncio.sleep(0.02)
                 assert asking.result()["body"] == "1"
+                assert len(said) == 1
 
     do(session())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -291,9 +292,9 @@ def test_vrm_avatars_stay_where_they_are(walk: Clip, tmp_path: Path) -> None:
 
 
 def test_files_and_info_say_that_feet_slide(walk: Clip, tmp_path: Path) -> None:
-    for root in ("travel", "in-place"):
-        for suffix in (".npz", ".glb"):
-            write_clip(walk, tmp_path / f"clip{suffix}", Export(root=root))
+    for root, rig in product(("travel", "in-place"), (None, "unreal")):
+        for suffix in (".glb", ".usdc", *[".npz"] * (rig is None)):
+            write_clip(walk, tmp_path / f"clip{suffix}", Export(root=root, rig=rig))
             told = contents_of(tmp_path / f"clip{suffix}")
             assert told["in_place"] is (root == "in-place")
     data = (tmp_path / "clip.glb").read_bytes()

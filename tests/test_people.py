@@ -205,6 +205,9 @@ def test_a_body_that_is_not_there_is_refused(tmp_path: Path) -> None:
     for body in (0, 2):
         with pytest.raises(InputError, match=f"no body {body}.*info"):
             read_take(path, body=body)
+    path = write_text(tmp_path / "b", ntu_text([made_up(6), made_up(6, seed=3)]))
+    with pytest.raises(InputError, match=rf"^{path}: has no body 3, expected 1 to 2"):
+        read_take(path, body=3)
 
 
 def test_a_body_twice_in_a_frame_is_refused(tmp_path: Path) -> None:

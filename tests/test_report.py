@@ -291,7 +291,8 @@ def test_fail_on_gives_exit_code_1_and_the_page(
     gates = ["--fail-on", "moved_cm>100", "--fail-on", "jitter>0.001"]
     assert main([*files, *gates]) == 1
     printed = capsys.readouterr().err
-    assert "jitter>0.001" in printed
+    assert "jitter>0.001: it is " in printed
+    assert printed.endswith(" (jitter, m/s³)\n")
     assert "moved_cm" not in printed
     metrics = {metric["name"]: metric for metric in _contents(page)["metrics"]}
     assert {"text": "> 0.001", "fails": True} in metrics["jitter"]["limits"]

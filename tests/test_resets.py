@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from known_motions import BODY, Array, stamps, standing
 from real_data import TAKES, recorded
 
-from kinefilter import Cleaner, clean, read_take
+from kinefilter import CleanConfig, Cleaner, clean, read_take
 from kinefilter.characters import Take, positions_from_rotations
+from kinefilter.characters.arrays import Flags
 from kinefilter.characters.rotations import IDENTITY, about_x, about_z
+from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.physics.resets import bridge_resets
 from kinefilter.pipeline.physics.stuck_limbs import StuckLimbs
+from kinefilter.pipeline.physics.world import World
 
 ROOT = BODY.skeleton.root
 
@@ -112,3 +118,21 @@ def test_who_was_lost_for_longer_is_replaced_for_a_second() -> None:
 def test_without_a_reset_nothing_changes() -> None:
     before, after = _bridged([], slice(30, 40))
     np.testing.assert_array_equal(after, before)
+
+
+def test_a_reset_is_told_with_its_time_and_a_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    step, count = World.follow, iter(range(1000))
+
+    def follow(*arguments: Any) -> Flags:
+        good = step(*arguments)
+        return good & (next(count) != 39)  # ten of these hold the first target
+
+    monkeypatch.setattr(World, "follow", follow)
+    take = simulate("basic", "wave", seed=1).take.at(slice(60))
+    take = replace(take, time=100.0 + np.arange(60) / 30.0)
+    notes = clean(take, CleanConfig(method="none", tilt=0.0)).notes
+    (told,) = (note for note in notes if note.startswith("physics: "))
+    assert "reset onto its target in 1 frame, at 1.0 s: " in told
+    assert told.endswith("--edits")

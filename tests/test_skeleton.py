@@ -244,6 +244,10 @@ def test_a_take_of_the_wrong_shape_is_refused(skeleton: Skeleton, name: str) -> 
         expected = str(arguments[name].shape).replace("(", r"\(").replace(")", r"\)")
         with pytest.raises(InputError, match=f"a.csv: {name}.*{expected}.*kinect_v"):
             Take(**{**arguments, name: wrong})
+    with pytest.raises(
+        InputError, match=r"time is \['a', .*\.\.\., expected numbers of shape \(any,\)"
+    ):
+        Take(**{**arguments, "time": ["a"] * 20})
     with pytest.raises(InputError, match="time has shape"):
         Take(**{**arguments, "time": arguments["time"][:, None]})
 

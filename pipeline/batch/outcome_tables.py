@@ -29,7 +29,10 @@ def as_tables(outcome: Outcome) -> RenderableType:
         for name in ("take", "error"):
             table.add_column(name, overflow="fold")
         for row in outcome.failed[:_MAX_FAILED]:
-            table.add_row(row.take, row.error)
+            place, found, error = row.error.partition(f"{row.take}: ")
+            # The path of the take stands beside its name already.
+            named = found and place[-1:] in ("", "/")
+            table.add_row(row.take, error if named else row.error)
         more = len(outcome.failed) - _MAX_FAILED
         table.caption = f"and {more} more, see the manifest" if more > 0 else None
         tables.append(table)
@@ -71,12 +74,13 @@ def _counts(outcome: Outcome) -> str:
     others = sum(row.status == "no take" for row in rows)
     sensors = [len(row.sensors) for row in rows if row.status == "done"]
     sessions, alone = sum(n > 1 for n in sensors), sensors.count(1)
-    damaged = len(outcome.damaged)
+    damaged, earlier = len(outcome.damaged), outcome.earlier
     counts = (
         (True, f"{counted(done, 'take')} cleaned, {len(outcome.failed)} failed"),
         (sessions, f"{counted(sessions, 'clip')} of several sensors"),
         (alone, f"{alone} without a partner (see manifest.csv)"),
         (kept, f"{kept} already done"),
+        (earlier, f"{earlier} of an earlier run only (see manifest.csv)"),
         (damaged, f"{damaged} with damage (see manifest.csv)"),
         (others, f"{counted(others, 'other file')} skipped"),
     )

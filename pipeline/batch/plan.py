@@ -215,7 +215,7 @@ class Job:
 
 def plan_jobs(
     sources: Sequence[Source],
-    store: Store,
+    out: Store,
     settings: Settings,
     suffix: str,
     *,
@@ -243,14 +243,18 @@ def plan_jobs(
             text = read_limited(path, LARGEST_TOML)
         place = store.path(name)
         relative_to = Path(place).parent if store.is_local else None
-        return overlaid(above, parse_settings(text, place, relative_to), given)
+        found = overlaid(above, parse_settings(text, place, relative_to), given)
+        try:
+            _check(found, out, suffix)
+        except InputError as error:
+            raise InputError(f"{place}: {error}") from None
+        return found
 
+    _check(settings, out, suffix)
     chosen = [
         settings_of(source.store, PurePosixPath(source.file.name).parent)
         for source in sources
     ]
-    for one in dict.fromkeys(chosen):
-        _check(one, store, suffix)
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]
@@ -259,15 +263,15 @@ def plan_jobs(
     names = clip_names(stems, suffix, several=several)
     hashed = cache(partial(fingerprint, suffix=suffix))
     jobs = [
-        Job(*one, store, name, hashed(one.settings), take_timeout)
+        Job(*one, out, name, hashed(one.settings), take_timeout)
         for one, name in zip(named, names, strict=True)
     ]
     _check_one_person_each(jobs)
-    places, root = {source.place for source in sources}, canonical(store.root)
+    places, root = {source.place for source in sources}, canonical(out.root)
     for job in jobs:
         if f"{root}/{job.output}" in places:
             raise InputError(
-                f"{store.path(job.output)}: would overwrite a take; choose another "
+                f"{out.path(job.output)}: would overwrite a take; choose another "
                 "output folder"
             )
     return sorted(jobs, key=lambda job: (-job.size, job.take))
@@ -294,6 +298,10 @@ def _beside(source: Source) -> Path:
 
 def _check(settings: Settings, out: Store, suffix: str) -> None:
     """Raise the InputError that every take with these settings would raise."""
+    if settings.config.scene is not None:
+        from kinefilter.scenes import load_scene  # loads MuJoCo, which is slow
+
+        load_scene(settings.config.scene)
     where = Path(tempfile.gettempdir()) / f"clip{suffix}"
     check_writable(where, settings.export)
     layer = settings.export.character

@@ -39,6 +39,7 @@ class Outcome:
     kept: list[Row] = field(default_factory=list)  # up to date from earlier runs
     rows: list[Row] = field(default_factory=list)  # from this run
     seconds: float = 0.0  # spent cleaning
+    earlier: int = 0  # takes in the manifest that were not given this time
 
     @property
     def failed(self) -> list[Row]:
@@ -97,7 +98,10 @@ def clean_files(
         cleanup.callback(crew.end)
         manifest = cleanup.enter_context(open_manifest(store))
         written = {file.name: file for file in store.files()} if manifest.rows else {}
-        outcome, todo = Outcome(), []
+        given_now = {job.take for job in planned}
+        others = (r for r in manifest.rows.values() if r.status != "no take")
+        outcome = Outcome(earlier=sum(row.take not in given_now for row in others))
+        todo = []
         for job in planned:
             row = manifest.rows.get(job.take)
             if row is not None and job.is_done(row, written):

@@ -29,6 +29,7 @@ from .terminal import (
     check_output,
     check_outputs,
     err,
+    logger,
     out,
     progress_bars,
     progress_display,
@@ -212,12 +213,13 @@ class Batch:
 
     Files that are not takes are skipped. OUT/manifest.jsonl (at a URL:
     OUT/manifest/*.jsonl) gets a line for each finished take; OUT/manifest.csv is the
-    table of them. A take is cleaned again if it failed, if its clip is missing, or if
-    anything changed: the take, its clip, the options, a database or model, or
-    kinefilter's version. A file kinefilter.toml in a folder holds options for the takes
-    in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz"; options on
-    the command line override it. Edits that 'kinefilter view' saved beside a take, as
-    NAME.edits.toml, are applied, unless --edits names others or --body is all.
+    table of them. Takes that are no longer given keep their clips and rows: OUT may
+    be the folder of several batches. A take is cleaned again if it failed, if its clip
+    is missing, or if anything changed: the take, its clip, the options, a database or
+    model, or kinefilter's version. A file kinefilter.toml in a folder holds options for
+    the takes in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz";
+    options on the command line override it. Edits that 'kinefilter view' saved beside a
+    take, as NAME.edits.toml, are applied, unless --edits names others or --body is all.
 
     With --sessions '{name}_{sensor}.csv*', takes whose names differ only in {sensor}
     are treated as simultaneous: they become one clip, NAME, as with 'kinefilter clean A
@@ -313,6 +315,7 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
     """Yield a callback that displays the progress of a batch."""
     warned = False
     with progress_display(counted=False) as bars:
+        log = logger()
         task = bars.add_task("clean", visible=False)
 
         def show(progress: JobProgress) -> None:
@@ -325,6 +328,7 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
             words = f"clean {progress.takes_done}/{progress.takes}"
             if progress.failed:
                 words += f", {progress.failed} failed"
+            log(words)
             done, total = progress.size_done, progress.size
             bars.update(
                 task, description=words, completed=done, total=total, visible=True

@@ -19,7 +19,7 @@ from kinefilter.pipeline.live.live_config import AccessConfig, LiveConfig
 from kinefilter.pipeline.live.tally import Event, Tally
 from kinefilter.pipeline.loopback import is_loopback
 
-from .terminal import check_output, err, stopped_by_signals, write_json
+from .terminal import check_output, err, logger, stopped_by_signals, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.live.live_session import Session
 
 _REFRESH = 0.3  # s between status updates on a terminal
-_LOGGED = 60.0  # s between status lines without a terminal, as in a log file
 
 
 @dataclass(frozen=True)
@@ -98,16 +97,16 @@ async def _show(session: Session) -> None:
     from rich.live import Live as Display
     from rich.text import Text
 
-    printed: list[str] = []
+    printed, log = list[str](), logger()
     shown = Display(console=err, auto_refresh=False, transient=True)
     with shown if err.is_terminal else nullcontext() as display:
         while True:
-            await asyncio.sleep(_REFRESH if display else _LOGGED)
+            await asyncio.sleep(_REFRESH)
             if display:
                 line = Text(status(session), overflow="ellipsis")
                 display.update(line, refresh=True)
             else:
-                err.print(status(session))
+                log(status(session))
             notes = session.tally.all_notes()
             for note in notes:
                 if note not in printed:
@@ -199,6 +198,9 @@ class Replay:
         stop = asyncio.Event()
         with stopped_by_signals(stop):
             async with open_sender(
-                address, token_file=self.token_file, certificate=self.certificate
+                address,
+                token_file=self.token_file,
+                certificate=self.certificate,
+                say=err.print,
             ) as send:
                 return await replay(takes, send, stop, speed=self.speed, loop=self.loop)

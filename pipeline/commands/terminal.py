@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from os.path import realpath
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
@@ -33,6 +34,7 @@ Skeletons = Literal["kinect_v1", "kinect_v2"]
 # SIGBREAK is sent on Windows by Ctrl-Break, or when the console is closed.
 _REQUESTS = ("SIGTERM", "SIGBREAK")  # no system has both
 _ENDS = (*_REQUESTS, "SIGINT", "SIGHUP")
+_LOGGED = 60.0  # s between lines of a log
 
 
 def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
@@ -62,6 +64,19 @@ def keep(written: Path, *others: Path | None) -> None:
             raise InputError(f"{written}: would overwrite {other}; choose another name")
 
 
+def logger() -> Callable[[str], None]:
+    """Return a function that prints a message a minute, and none on a terminal."""
+    printed = monotonic()
+
+    def log(words: str) -> None:
+        nonlocal printed
+        if not err.is_terminal and monotonic() - printed >= _LOGGED:
+            err.print(words)
+            printed = monotonic()
+
+    return log
+
+
 def progress_display(*, counted: bool = True) -> RichProgress:
     """Return progress bars with counts or percentages; hidden without a terminal."""
     from rich import progress  # slow to import
@@ -79,9 +94,16 @@ def progress_display(*, counted: bool = True) -> RichProgress:
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
-    """Yield a factory of progress bars on the terminal."""
+    """Yield a factory of progress bars on the terminal, or of lines in a log."""
     with progress_display() as bars:
-        yield lambda stage, count: bars.track(range(count), count, description=stage)
+        log = logger()
+
+        def steps(stage: str, count: int) -> Iterator[int]:
+            for k in bars.track(range(count), count, description=stage):
+                log(f"{stage} {k}/{count}")
+                yield k
+
+        yield steps
 
 
 def check_calibration(path: Path | None, takes: Collection[Path]) -> None:

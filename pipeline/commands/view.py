@@ -321,6 +321,7 @@ class Report:
     def run(self) -> int:
         """Write the page, and print which limits were exceeded."""
         from kinefilter.pipeline.look import page
+        from kinefilter.pipeline.metrics import METRICS
 
         if not self.take:
             raise InputError(
@@ -336,7 +337,8 @@ class Report:
         failed = [gate for gate in gates if gate.fails(comparison.after)]
         for gate in failed:
             value = comparison.after[gate.metric]
-            err.print(f"kinefilter: failed {gate}: it is {value:.4g}")
+            meaning = METRICS[gate.metric]
+            err.print(f"kinefilter: failed {gate}: it is {value:.4g} ({meaning})")
         return 1 if failed else 0
 
 

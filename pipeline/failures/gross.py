@@ -11,6 +11,7 @@ import numpy as np
 from kinefilter.characters import State, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.skeleton import SIDES
+from kinefilter.pipeline.formats.plain import times_told
 
 from .bodies import (
     middles,
@@ -30,7 +31,6 @@ from .sides import swapped_back, swapped_frames
 
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm at an impossible place for less only brushes past it
-_LISTED = 5  # stretches of one kind that are listed one by one; more are counted
 
 
 class FailureKind(StrEnum):
@@ -110,11 +110,8 @@ def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, .
         groups.setdefault((failure.part, failure.kind), []).append(failure)
     sentences = []
     for (part, kind), group in groups.items():
-        times = [(f.start - begin, f.end - begin) for f in group[:_LISTED]]
-        when = ", ".join(f"{start:.1f} to {end:.1f}" for start, end in times)
-        left = len(group) - len(times)
-        more = f" and {left} more time{'s' * (left != 1)}" if left else ""
-        sentences.append(f"{part} {kind} ({when} s{more}): {kind.done}")
+        when = times_told([(f.start - begin, f.end - begin) for f in group])
+        sentences.append(f"{part} {kind} ({when}): {kind.done}")
     return tuple(sentences)
 
 

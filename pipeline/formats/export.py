@@ -1,7 +1,7 @@
 """Settings for writing clips, what they do to a clip, and what all formats share."""
 
 from dataclasses import dataclass, fields, replace
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -190,10 +190,11 @@ def even_frames(time: Array, fps: float, source: str) -> int:
     gaps = long_gaps(time)
     held = sum(end - start for start, end in gaps)
     if held > _LONGEST_HELD:
+        most = f"expected {_LONGEST_HELD:g} s at most"
         raise InputError(
             f"{source}: {describe_gaps(gaps, time[0])[0]}; the character would hold "
-            f"still for {held:.4g} s in all, expected {_LONGEST_HELD:g} s at most; "
-            "split the take with --gaps split"
+            f"still for {ceil(10.0 * held) / 10.0:.1f} s in all, {most}; split the "
+            "take with --gaps split"
         )
     if count > MOST_FRAMES:
         raise InputError(

@@ -38,11 +38,12 @@ def read_glb(path: AnyPath) -> Clip:
         return _clip(*_chunks(check_file(path)), source)
 
 
-def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
-    """Return the joint names of each skeleton, and the times [s] of the keyframes.
+def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array, str | None]:
+    """Return the joint names of each skeleton, times [s] of keyframes, and root motion.
 
-    Keyframes are those of the first skeleton, which may come from any program. Raises
-    InputError if the file is missing, damaged or has no animated skeleton.
+    Keyframes are those of the first skeleton, which may come from any program; its root
+    motion is then unknown. Raises InputError if the file is missing, damaged or has no
+    animated skeleton.
     """
     with refused(path, DAMAGED), np.errstate(all="ignore"):
         document, data = _chunks(check_file(path))
@@ -52,9 +53,10 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array]:
         extras = animation.get("extras", {}).get("kinefilter")
         if extras and "people" not in extras:
             time = np.array(extras["time"], dtype=float)
-            return names, glb.key_times(time, time[0])
+            return names, glb.key_times(time, time[0]), extras.get("root")
         index = animation["samplers"][0]["input"]
-        return names, _values(document, data, index).astype(float).ravel()
+        times = _values(document, data, index).astype(float).ravel()
+        return names, times, extras and extras["people"][0].get("root")
 
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:

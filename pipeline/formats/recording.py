@@ -76,8 +76,9 @@ class Recording:
         if body is None:
             return self.takes[self.main]
         if not isinstance(body, int) or not 1 <= body <= len(self.takes):
+            source = self.takes[0].source.removesuffix(", body 1")
             raise InputError(
-                f"{self.takes[0].source}: has no body {shown(body)}, expected 1 to "
+                f"{source}: has no body {shown(body)}, expected 1 to "
                 f"{len(self.takes)}; 'kinefilter info' lists them"
             )
         return self.takes[body - 1]

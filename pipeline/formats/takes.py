@@ -153,6 +153,8 @@ def claims_take(path: AnyPath) -> bool:
 
 
 def _first_line(source: str) -> str:
+    if source.lower().removesuffix(".gz").endswith(".npy"):
+        return _NPY  # even if it is damaged
     start = beginning(source, _BEGINNING)
     if start.startswith(("{", "[", _NPY, _C3D)):
         return start  # JSON may be a single line, and binary files have no lines

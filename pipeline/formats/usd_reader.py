@@ -41,6 +41,9 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
         prims = stage.Traverse()
         authored = {a.GetName() for prim in prims for a in prim.GetAuthoredAttributes()}
         meters = float(UsdGeom.GetStageMetersPerUnit(stage))
+        character = stage.GetPrimAtPath(CHARACTER)
+        root = character and character.GetAttribute("kinefilter:root")
+        moves = {"in_place": root.Get() != "travel"} if root else {}
     steps = np.diff(time)
     contents = {
         "unit": f"{meters:g} m",
@@ -51,6 +54,7 @@ def contents_arrays(path: str) -> dict[str, NDArray[Any]]:
         "seconds": float(time[-1] - time[0]) if len(time) else 0.0,
         "fps": float(1.0 / np.median(steps)) if len(steps) and steps.all() else None,
         "time_codes_per_second": float(stage.GetTimeCodesPerSecond()),
+        **moves,
         "attributes": sorted(name for name in authored if "kinefilter:" in name),
     }
     return {"json": np.array(json.dumps(contents))}

@@ -129,6 +129,8 @@ class Session:
             frame = parse_frame(message, self._skeleton, self._config.bodies)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
+            if error.note:
+                self.tally.notes.setdefault(error.reason, (error.note,))
             return
         now = time.perf_counter()
         self.tally.events[Event.FRAMES] += 1

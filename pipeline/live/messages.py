@@ -38,9 +38,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from kinefilter.characters import Body, KinefilterError, Skeleton, State
-from kinefilter.characters.arrays import Array, Codes
+from kinefilter.characters import SKELETONS, Body, KinefilterError, Skeleton, State
+from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.motion import LATEST_TIME_STAMP
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.formats.recording import mark_missing
 
 from .live_config import MAX_BODIES
@@ -66,15 +67,16 @@ class Reason(StrEnum):
     TIME = "invalid time stamp"
     NUMBER = "number out of range"
     JOINT = "unknown joint"
+    JOINTS = "wrong number of joints"
     BODIES = "invalid bodies or ids"
 
 
 class MalformedError(KinefilterError):
     """A message is not a frame; it is counted and ignored."""
 
-    def __init__(self, reason: Reason) -> None:
+    def __init__(self, reason: Reason, note: str = "") -> None:
         super().__init__(reason.value)
-        self.reason = reason
+        self.reason, self.note = reason, note  # a note says more than the reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,14 +160,27 @@ def _parse_body(data: Any, skeleton: Skeleton) -> SeenBody:
         raise MalformedError(Reason.NOT_A_FRAME)
     joints = data["joints"]
     if isinstance(joints, dict):
-        if not joints.keys() <= set(skeleton.joints):
-            raise MalformedError(Reason.JOINT)
+        if unknown := joints.keys() - set(skeleton.joints):
+            others = [s for s in SKELETONS.values() if joints.keys() <= set(s.joints)]
+            wrong = f"no joint {shown(min(unknown))} in {skeleton.name}"
+            raise MalformedError(Reason.JOINT, _advice(wrong, others))
         joints = [joints.get(name) for name in skeleton.joints]
-    if not isinstance(joints, list) or len(joints) != len(skeleton):
+    if not isinstance(joints, list):
         raise MalformedError(Reason.NOT_A_FRAME)
+    if len(joints) != len(skeleton):
+        others = [s for s in SKELETONS.values() if len(joints) == len(s)]
+        wrong = (
+            f"{counted(len(joints), 'joint')}, but {skeleton.name} has {len(skeleton)}"
+        )
+        raise MalformedError(Reason.JOINTS, _advice(wrong, others))
     rows = np.array([_parse_joint(joint) for joint in joints])
     positions, state = mark_missing(rows[:, :3], rows[:, 3].astype(np.uint8))
     return SeenBody(_parse_id(data["id"]), positions, state)
+
+
+def _advice(wrong: str, others: Sequence[Skeleton]) -> str:
+    names = " or ".join(other.name for other in others)
+    return f"{wrong}: give --skeleton {names}" if names else wrong
 
 
 def _parse_joint(joint: Any) -> tuple[float, float, float, float]:

@@ -30,9 +30,16 @@ Send = Callable[[str], Awaitable[bool]]
 
 @asynccontextmanager
 async def open_sender(
-    address: Address, *, token_file: Path | None = None, certificate: Path | None = None
+    address: Address,
+    *,
+    token_file: Path | None = None,
+    certificate: Path | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> AsyncIterator[Send]:
-    """Yield a function that sends frames; raise InputError for a wrong host or file."""
+    """Yield a function that sends frames; raise InputError for a wrong host or file.
+
+    ``say`` is called with a message whenever there is nobody to send them to.
+    """
     if address.scheme == STANDARD:
 
         async def send(line: str) -> bool:
@@ -60,7 +67,7 @@ async def open_sender(
             except OSError as error:
                 reason = f"not a certificate ({error.strerror}); expected a PEM file"
                 raise InputError(f"{certificate}: {reason}") from None
-        connection = _ReconnectingClient()
+        connection = _ReconnectingClient(say)
         async with meanwhile(connection.keep_open(address, token, tls)):
             await connection.tried.wait()
             if connection.refused:
@@ -70,7 +77,8 @@ async def open_sender(
 
 
 class _ReconnectingClient:
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
         self._open: ClientConnection | None = None
         self.tried = asyncio.Event()  # the first attempt to connect is over
         self.refused = False  # the receiver asks for another token
@@ -102,6 +110,8 @@ class _ReconnectingClient:
                 pass  # there is no server, or not yet
             self._open = None
             self.tried.set()
+            if pause == _FIRST_PAUSE and not self.refused:
+                self._say(f"waiting for {address}; frames until then are lost")
             await asyncio.sleep(pause)
             pause = min(2.0 * pause, _LONGEST_PAUSE)
 

@@ -70,8 +70,9 @@ class Tally:
         self.events: Counter[Event] = Counter()
         self.malformed: Counter[Reason] = Counter()
         self.latency = Latency()  # from the arrival of a frame to sending its pose
-        # What the user should know: by person's slot, or -1, -2, ... for the sensors.
-        self.notes: dict[int, tuple[str, ...]] = {}
+        # What the user should know: by person's slot, -1, -2, ... for the sensors, or
+        # the reason of the first malformed frame.
+        self.notes: dict[int | Reason, tuple[str, ...]] = {}
 
     def all_notes(self) -> list[str]:
         """Return all notes, without repeats."""

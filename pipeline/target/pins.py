@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinefilter.characters import Origin
+from kinefilter.characters import InputError, Origin
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.edits import Edit
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 _RAISED = 0.01  # m: a foot that is pinned higher has left the floor. A guess.
+_FARTHEST = 2.0  # m from where the joint is; more is hardly meant. A guess
 _AROUND = 0.5  # s before and after a pin in which the joint joins its own path
 
 
@@ -28,9 +29,18 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
 
     If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
     handles what is out of reach. If the trunk is pinned, planted feet stay. A foot that
-    a pin raises does not stand.
+    a pin raises does not stand. Raises InputError for a pin over 2 m from its joint.
     """
     skeleton, since = draft.skeleton, draft.time - draft.time[0]
+    for one in pins:
+        joint = one.joints[0]
+        place = draft.positions[one.frames(since).argmax(), skeleton.index(joint)]
+        if not (far := np.linalg.norm(place - one.position)) <= _FARTHEST:
+            raise InputError(
+                f"{one.source or one}: {joint} is {far:.1f} m away from there, at "
+                f"{place.round(2).tolist()}; pin it within {_FARTHEST:g} m of that, in "
+                "meters in the clip's frame of reference"
+            )
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
     origin, stands = draft.origin.copy(), weights >= PLANTED
     for name in dict.fromkeys(pinned.joints[0] for pinned in pins):

@@ -24,4 +24,7 @@ def main(path: Path, *methods: str) -> None:
 if __name__ == "__main__":
     if len(sys.argv) < 2:
         ArgumentParser(usage="%(prog)s PAIRS [METHOD ...]").error("give pairs")
-    main(Path(sys.argv[1]), *sys.argv[2:])
+    try:
+        main(Path(sys.argv[1]), *sys.argv[2:])
+    except kinefilter.InputError as error:
+        sys.exit(str(error))

@@ -32,4 +32,7 @@ def main(path: Path) -> None:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         ArgumentParser(usage="%(prog)s TAKE").error("give a take")
-    main(Path(sys.argv[1]))
+    try:
+        main(Path(sys.argv[1]))
+    except kinefilter.InputError as error:
+        sys.exit(str(error))

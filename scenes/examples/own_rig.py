@@ -46,4 +46,7 @@ def main(take: Path, clip: Path) -> None:
 if __name__ == "__main__":
     if len(sys.argv) != 3:
         ArgumentParser(usage="%(prog)s TAKE CLIP").error("give a take and a clip")
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    try:
+        main(Path(sys.argv[1]), Path(sys.argv[2]))
+    except kinefilter.InputError as error:
+        sys.exit(str(error))
