@@ -129,17 +129,6 @@ def test_a_wrong_elbow_leaves_the_wrist_where_it_was_on_ordinary_proportions(
     assert np.isfinite(view.yaw)
 
 
-def test_frames_before_the_person_is_seen_face_as_the_first_seen_one() -> None:
-    body = standard_body(KINECT_V2)
-    positions = np.tile(posture(body, 8), (5, 1, 1))
-    weights = np.tile(ones(body), (5, 1))
-    weights[:3] = 0.0  # places that were filled in, with no reliability
-    _, view = Standardizer(body).steps(positions, weights)
-    yaw = find_yaw(positions[4], ones(body), KINECT_V2)
-    assert abs(yaw) > 0.1
-    np.testing.assert_allclose(view.yaw, yaw)
-
-
 @every_skeleton
 def test_missing_joints_stay_missing_and_leave_the_others_alone(
     skeleton: Skeleton,
@@ -317,12 +306,14 @@ def test_unseen_legs_are_as_long_as_the_arms_suggest() -> None:
     assert body.height == pytest.approx(0.9 * STANDARD_HEIGHT)
 
 
-@pytest.mark.parametrize("factor", [0.0, 0.3, 0.62, 1.61, 4.0])
-def test_an_odd_limb_takes_average_proportions(factor: float) -> None:
-    elbows = [KINECT_V1.index(f"Elbow{side}") for side in ("Left", "Right")]
+@pytest.mark.parametrize(
+    ("part", "factor"),
+    [("Elbow", f) for f in (0.0, 0.3, 0.62, 1.61, 4.0)] + [("Hip", 0.6)],
+)
+def test_an_odd_limb_takes_average_proportions(part: str, factor: float) -> None:
     average = standard_body(KINECT_V1)
     lengths = average.lengths.copy()
-    lengths[elbows] *= factor
+    lengths[KINECT_V1.sides(part)] *= factor
     body = measured_body(KINECT_V1, lengths)
     np.testing.assert_allclose(body.lengths, average.lengths)
 
@@ -345,6 +336,17 @@ def test_a_limb_or_a_trunk_within_reason_is_kept(joint: str, factor: float) -> N
     lengths[chosen] *= factor
     body = measured_body(KINECT_V1, lengths, height=1.75)
     np.testing.assert_allclose(body.lengths[chosen], lengths[chosen])
+
+
+@pytest.mark.parametrize("angle", [40.0, 50.0, -80.0])
+@pytest.mark.parametrize("part", ["Hip", "Shoulder"])
+def test_sides_ahead_take_average_directions(part: str, angle: float) -> None:
+    body, sides = standard_body(KINECT_V1), KINECT_V1.sides(part)
+    directions, turn = body.directions.copy(), np.radians(angle)
+    directions[sides, 0] *= np.cos(turn)
+    directions[sides, 2] = np.sin(turn)
+    found = measured_body(KINECT_V1, body.lengths, directions).directions
+    np.testing.assert_allclose(found, directions if angle == 40.0 else body.directions)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.reconstruct import HiddenLimbTracker, MotionPrior
 from kinefilter.pipeline.reconstruct.prior import default_prior
 from kinefilter.pipeline.reconstruct.unseen import fill_unseen
+from kinefilter.retarget import Standardizer
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)
@@ -171,3 +172,12 @@ def test_unseen_legs_are_nearer_to_where_they_are_than_without_networks() -> Non
         errors.append([error_from_hips(one, gone) for one in away])
     error, without = np.mean(errors, axis=0)
     assert error < 0.9 * without
+
+
+def test_frames_before_the_person_is_seen_face_as_the_first_seen_one() -> None:
+    body = standard_body(KINECT_V1)
+    positions = np.tile(rotate(about_y(2.0), body.rest_positions), (5, 1, 1))
+    weights = np.ones(positions.shape[:2])
+    weights[:3] = 0.0  # places that were filled in, with no reliability
+    _, view = Standardizer(body).steps(positions, weights)
+    np.testing.assert_allclose(view.yaw, 2.0)

@@ -20,6 +20,7 @@ from .bodies import (
     sunken_frames,
     wrong_size_frames,
 )
+from .exchanged import EXCHANGED, exchanged_frames, put_back
 from .limb_failures import (
     LIMBS,
     bent_backwards,
@@ -131,7 +132,10 @@ def find_failures(take: Take) -> tuple[Failure, ...]:
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
     take = without_lost_joints(take, found)
-    swapped = swapped_frames(take)
+    for part in EXCHANGED:
+        frames = exchanged_frames(unmirrored(take, found), part)
+        found += stretches(time, kind.MIRRORED, part, frames)
+    swapped = swapped_frames(unmirrored(take, found))
     for part, which in _SIDES_OF.items():
         frames = (swapped == which).all(axis=1)
         found += stretches(time, kind.MIRRORED, part, frames)
@@ -190,6 +194,10 @@ def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
     """Return a take with left and right swapped back where they were mirrored."""
     swapped = np.zeros((len(take), 2), dtype=bool)
     for failure in failures:
-        if failure.kind is FailureKind.MIRRORED:
+        if failure.kind is not FailureKind.MIRRORED:
+            continue
+        if failure.part in EXCHANGED:
+            take = put_back(take, failure.part, failure.frames)
+        else:
             swapped[failure.frames] |= _SIDES_OF[failure.part]
     return swapped_back(take, swapped) if swapped.any() else take
