@@ -18,7 +18,7 @@ from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.settings import Settings, as_table, overlaid, settings_in
 
-SWAP = Edit("exchange", 0.1, 0.3)
+LAME = Edit("distrust", 0.1, 0.3, ("left-leg",))
 BLIND = Edit("distrust", 0.1, 0.4, ("right-arm",))
 
 
@@ -56,7 +56,7 @@ def test_edits_beside_a_take_are_applied_and_clean_it_again_when_they_change(
 ) -> None:
     before = (out / "a.bvh").read_bytes()
     clips = [before]
-    for edit in (SWAP, BLIND):
+    for edit in (LAME, BLIND):
         _edit(takes / "a.csv", edit)
         assert [row.take for row in clean_folder(takes, out).rows] == ["a.csv"]
         assert f"edited: {edit.summary}" in _row(out).clips[0].notes
@@ -70,7 +70,7 @@ def test_edits_beside_a_take_are_applied_and_clean_it_again_when_they_change(
 def test_named_edits_and_people_leave_those_beside_the_take_alone(
     takes: Path, tmp_path: Path
 ) -> None:
-    _edit(takes / "a.csv", SWAP)
+    _edit(takes / "a.csv", LAME)
     everyone = clean_folder(takes, tmp_path / "all", replace(QUICK, body="all"))
     assert not any(
         "edited" in n for r in everyone.rows for c in r.clips for n in c.notes
@@ -79,7 +79,7 @@ def test_named_edits_and_people_leave_those_beside_the_take_alone(
     other.write_text(edits_text([BLIND]))
     (takes / "monday" / "kinefilter.toml").write_text(f'edits = "{other}"')
     (takes / "monday" / "late" / "c.csv").unlink()
-    _edit(takes / "monday" / "b.csv", SWAP)
+    _edit(takes / "monday" / "b.csv", LAME)
     clean_folder(takes, tmp_path / "out")
     row = _row(tmp_path / "out", "monday/b.csv")
     assert f"edited: {BLIND.summary}" in row.clips[0].notes
@@ -91,7 +91,7 @@ def test_named_edits_and_people_leave_those_beside_the_take_alone(
 def test_a_take_cleaned_again_is_as_a_batch_makes_it_and_leaves_nothing_to_do(
     takes: Path, out: Path, tmp_path: Path, name: str
 ) -> None:
-    _edit(takes / name, SWAP)
+    _edit(takes / name, LAME)
     row = _row(out, name)
     old = _files(out)
     again = clean_again(row, out, find_takes(row, [tmp_path, takes]))
@@ -103,7 +103,7 @@ def test_a_take_cleaned_again_is_as_a_batch_makes_it_and_leaves_nothing_to_do(
         "manifest.csv",
     }
     (line,) = (line for line in table_of(out) if line["take"] == name)
-    assert f"edited: {SWAP.summary}" in line["notes"]
+    assert f"edited: {LAME.summary}" in line["notes"]
     kept = clean_folder(takes, out)
     assert kept.rows == []
     clean_folder(takes, tmp_path / "fresh")
@@ -127,7 +127,7 @@ def test_options_of_the_batch_hold_where_the_take_is_cleaned_again(
         "begin": 0.1,
         "fps": 25.0,
     }
-    _edit(takes / "monday" / "b.csv", SWAP)
+    _edit(takes / "monday" / "b.csv", LAME)
     clean_again(row, tmp_path / "out", find_takes(row, [takes]))
     assert clean_folder(takes, tmp_path / "out", slow).rows == []
 
@@ -142,9 +142,9 @@ def test_a_session_is_cleaned_again_with_the_edits_beside_its_first_take(
     clean_folder(takes, out, settings)
     row = _row(out, "dance")
     assert find_takes(row, [takes]) == [takes / "dance_A.csv", takes / "dance_B.csv"]
-    _edit(first, SWAP)
+    _edit(first, LAME)
     done = clean_again(row, out, find_takes(row, [takes]))
-    assert f"edited: {SWAP.summary}" in done.clips[0].notes
+    assert f"edited: {LAME.summary}" in done.clips[0].notes
     assert clean_folder(takes, out, settings).rows == []
 
 
@@ -173,7 +173,7 @@ def test_nothing_changes_where_a_take_cannot_be_cleaned_again(
     takes: Path, out: Path, change: object, words: str
 ) -> None:
     row = _row(out)
-    _edit(takes / "a.csv", SWAP)
+    _edit(takes / "a.csv", LAME)
     change(takes, out)  # type: ignore[operator]
     before = _files(out)
     with pytest.raises(InputError, match=words):
