@@ -24,9 +24,8 @@ from .failures import (
     ImpossibleBodies,
     find_failures,
     lost_joints,
+    repaired,
     stray_joints,
-    unmirrored,
-    without_lost_joints,
 )
 from .methods import SCORERS, load
 from .progress import Progress
@@ -116,9 +115,8 @@ class Failures(Stage):
         """Find and repair the failures of a take."""
         take = draft.take()
         draft.failures = find_failures(take)
-        repaired = unmirrored(without_lost_joints(take, draft.failures), draft.failures)
-        draft.measured, draft.state = repaired.positions, repaired.state
-        draft.face = repaired.face
+        take = repaired(take, draft.failures)
+        draft.measured, draft.state, draft.face = take.positions, take.state, take.face
 
 
 class MeasureBody(Stage):

@@ -20,8 +20,8 @@ from kinefilter.pipeline.failures import (
     find_displaced,
     find_failures,
     lost_joints,
+    repaired,
     unmirrored,
-    without_lost_joints,
 )
 from kinefilter.pipeline.failures.limb_failures import trunk_axes
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
@@ -196,8 +196,13 @@ def test_only_the_lost_limb_is_removed() -> None:
     lost[10:20, [KINECT_V2.index(joint) for joint in arm]] = True
     lost[30:40, [KINECT_V2.index(joint) for joint in leg]] = True
     np.testing.assert_array_equal(lost_joints(failures, take), lost)
-    left = without_lost_joints(take, failures)
+    left = repaired(take, failures)
     np.testing.assert_array_equal(left.state == State.NOT_TRACKED, lost)
+    # Limbs have the sides that they have once these are swapped back.
+    swapped = Failure(FailureKind.MIRRORED, "body", 0, 99, 0.0, 1.0)
+    left = repaired(take.swapped(slice(0, 100)), (swapped, *failures))
+    np.testing.assert_array_equal(left.state == State.NOT_TRACKED, lost)
+    np.testing.assert_array_equal(left.positions[~lost], take.positions[~lost])
 
 
 def test_a_lost_limb_goes_on_as_if_it_were_hidden() -> None:

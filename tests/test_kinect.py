@@ -13,6 +13,7 @@ from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, standard_body
+from kinefilter.pipeline.correct.fourier_ridge import turned_away
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import (
     SENSORS,
@@ -24,7 +25,6 @@ from kinefilter.scenes.sensor import (
     sample_take,
 )
 from kinefilter.scenes.sensor.tracker_errors import (
-    TURNED,
     error_mixing,
     error_scales,
     joint_offsets,
@@ -211,9 +211,7 @@ def test_kinect_v2_shows_trunks_turned_toward_itself(
     )
     shown = np.arctan2(-hips[2], hips[0])  # +x is to the right of who faces it
     assert np.arctan2(-shoulders[2], shoulders[0]) == pytest.approx(shown)
-    # From behind, the back is taken for the front.
-    from_sensor = shown - np.pi * np.round(shown / np.pi)
-    beyond = np.maximum(abs(from_sensor) - TURNED, 0.0) * np.sign(from_sensor)
+    beyond = turned_away(np.array([-np.sin(shown), np.cos(shown)]))
     added = 0.0 if skeleton == KINECT_V1 or abs(degrees) == 90 else 0.4 * beyond
     assert np.degrees(shown + added) == pytest.approx(degrees, abs=1e-9)
 

@@ -16,8 +16,8 @@ from .gross import (
     describe_failures,
     find_failures,
     lost_joints,
+    repaired,
     unmirrored,
-    without_lost_joints,
 )
 
 __all__ = [
@@ -28,7 +28,7 @@ __all__ = [
     "find_displaced",
     "find_failures",
     "lost_joints",
+    "repaired",
     "stray_joints",
     "unmirrored",
-    "without_lost_joints",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -188,6 +188,15 @@ def without_lost_joints(take: Take, failures: Iterable[Failure]) -> Take:
         return take
     state = np.where(lost, np.uint8(State.NOT_TRACKED), take.state)
     return replace(take, state=state)  # which has no position there either
+
+
+def repaired(take: Take, failures: Sequence[Failure]) -> Take:
+    """Return a take with left and right swapped back and without ``lost_joints``."""
+    limbs = [failure for failure in failures if failure.kind in _IMPOSSIBLE_LIMB]
+    others = [failure for failure in failures if failure not in limbs]
+    # Impossible limbs have the sides that they have once these are swapped back.
+    mended = unmirrored(without_lost_joints(take, others), others)
+    return without_lost_joints(mended, limbs)
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:

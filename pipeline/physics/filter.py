@@ -79,7 +79,6 @@ class _Cue:
         own, count = person.time, len(person.time)
         self.character, self._person = character, person
         self._accelerations = _accelerations(own, person.positions)
-        self._is_part = character.joint_of[character.model.geom_bodyid] >= 0
         self._planned: tuple[int, Move] | None = None
         last, stop = count - 1, np.searchsorted(own, stamps)
         self._after = np.minimum(stop, last)  # the next own frame, or the last
@@ -154,7 +153,7 @@ class _Cue:
             return
         own, character, trace = self._after[k], self.character, self._trace
         data = character.data
-        trace.contacts[own] = self._is_part[data.contact.geom].any(axis=1).sum()
+        trace.contacts[own] = character.is_part[data.contact.geom].any(axis=1).sum()
         trace.external_force[own], trace.reset[own] = character.external_force, reset
         self._turns[own], self._roots[own] = character.rotations, character.root
         self._props.record(own)

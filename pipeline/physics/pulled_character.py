@@ -106,8 +106,10 @@ class PulledCharacter:
         own = np.isin(model.geom_bodyid, self._bodies)
         self._geoms = np.flatnonzero(own)
         self._collisions = model.geom_contype[own], model.geom_conaffinity[own]
-        self._own, self._others = own, ~own
-        self._others[model.geom("floor").id] = False
+        self.is_part = own
+        """Which geoms of the model are the character's."""
+        self._is_other = ~own
+        self._is_other[model.geom("floor").id] = False
         self.grasp = Grasp(self.data, body, prefix)
         self._weight = float(body.mass * GRAVITY)
         masses = joint_masses(body)
@@ -322,7 +324,7 @@ class PulledCharacter:
             return False
         pose = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
         touching = self.data.contact.geom
-        own, others = self._own[touching], self._others[touching]
+        own, others = self.is_part[touching], self._is_other[touching]
         blocked = bool((own & others[:, ::-1]).any())
         return self._limbs.step(pose, self._target, dt, blocked=blocked)
 

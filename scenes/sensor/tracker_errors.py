@@ -29,7 +29,7 @@ from .geometry import Sensor, in_world_frame
 from .visibility import Sight, rest_front
 
 _FEATURES = 96  # random cosines: enough to cover all directions of posture
-TURNED = 0.2  # rad from the sensor up to which Kinect v2 shows trunks as they are
+_TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 _SIDE_ON = 0.2  # rad around a right angle in which it takes fronts for backs
 _WARM_UP = 12.0  # time constants before the take, so that it starts in the steady state
 V1_NAMES = {
@@ -113,8 +113,8 @@ class TrackerErrors:
     """Number of neighboring pixels that share one depth error."""
     trunk_turn: float = 0.41
     """How much farther people have turned than Kinect v2 shows hips, shoulders and the
-    foot behind the body, as a share of the angle shown beyond ``TURNED``. From people
-    in front of two sensors (``turn_share_`` of the learned correction)."""
+    foot behind the body, as a share of the angle shown beyond ``_TURNED``. From
+    people in front of two sensors (``turn_share_`` of the learned correction)."""
     prop: float = 0.5
     """Share of the way that a joint moves toward the surface of a prop that fills all
     its surroundings. A guess."""
@@ -243,7 +243,7 @@ def _turned_toward(
     across = np.sum(left[:, [0, 2]] * to_sensor[:, [0, 2]], axis=1)
     ahead = left[:, 0] * to_sensor[:, 2] - left[:, 2] * to_sensor[:, 0]
     angle = np.arctan2(np.abs(across), np.abs(ahead))
-    turn = np.maximum(angle - TURNED, 0.0) * (1.0 - 1.0 / (1.0 + errors.trunk_turn))
+    turn = np.maximum(angle - _TURNED, 0.0) * (1.0 - 1.0 / (1.0 + errors.trunk_turn))
     turn *= np.sign(across) * np.sign(ahead)
     turn *= np.minimum((np.pi / 2.0 - angle) / _SIDE_ON, 1.0)
     turned = placed.copy()
