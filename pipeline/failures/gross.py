@@ -59,10 +59,10 @@ _IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE, FailureKind.SUN
 """Failures whose frames say nothing about the person."""
 _IMPOSSIBLE_LIMB = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs are removed, and so reconstructed as if they had been hidden: in
-18 recorded limbs beside mocap 15 cm off, as recorded 19, filled by local PCA 19. An arm
-beyond its range is closer to the truth than what would replace it: 27 against 39 cm in
-14 recorded clips. A limb that jumps may be right before or after it: removing it took
-real kicks away."""
+18 recorded limbs beside mocap, which decided this and whose people the prior knows, 15
+cm off, as recorded 19, filled by local PCA 19. An arm beyond its range is closer to the
+truth than what would replace it: 27 against 39 cm in 14 recorded clips. A limb that
+jumps may be right before or after it: removing it took real kicks away."""
 _SIDES_OF = {"body": (True, True), "arms": (True, False), "legs": (False, True)}
 """Parts in which trunk and arms, or legs, have left and right swapped."""
 _REMEDIES = {
