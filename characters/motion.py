@@ -247,6 +247,13 @@ class Take(_Frames):
             face[frames] = np.nan
         return replace(self, positions=positions, state=state, face=face)
 
+    def without(self, joints: Flags) -> Take:
+        """Return the take with the flagged joints (T, J) not tracked."""
+        if not joints.any():
+            return self
+        state = np.where(joints, np.uint8(State.NOT_TRACKED), self.state)
+        return replace(self, state=state)  # which has no position there either
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Motion(_Frames):

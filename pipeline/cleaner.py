@@ -31,7 +31,7 @@ from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft, Unedited
 from .editing import clean_again, unedited
-from .edits import Edit, edited, read_edits
+from .edits import Edit, check_edits, read_edits
 from .failures import Failure, describe_failures, find_displaced
 from .formats.plain import times_told
 from .metrics import Quality, distances, measure
@@ -257,9 +257,9 @@ class Cleaner:
         edits = self._edits if edits is None else tuple(edits)
         recorded, frames = self._distinct(take)
         if edits:
-            corrected = edited(recorded, edits)  # bad edits fail before any work
+            check_edits(recorded, edits)  # before any work is done
             before = before or self.unedited(take, progress)
-            draft = clean_again(self.stages, corrected, edits, before, progress)
+            draft = clean_again(self.stages, recorded, edits, before, progress)
         else:
             draft = before.done if before else self.whole(recorded, progress)
         return self._result(take, recorded, frames, draft, edits)

@@ -50,6 +50,10 @@ class Draft:
     elapsed: float = 1.0 / 30.0
     """Time since the previous frame [s]; frames only."""
 
+    exchanged: Flags | None = None
+    """Whether edits swap left and right, shape (); None without edits."""
+    distrusted: Flags | None = None
+    """Joints that edits discard, as named after that, (J,); None without edits."""
     failures: tuple[Failure, ...] = ()
     """Gross tracker failures."""
     reference: Reference = field(init=False)

@@ -16,7 +16,7 @@ from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.retarget.stance import smooth_step
 
 from .draft import Draft, Unedited
-from .edits import Edit, with_contacts
+from .edits import Edit, distrusted, edited, exchanged, with_contacts
 from .progress import Progress
 from .stages import Stage
 from .target.feet import ankles_and_toes
@@ -49,11 +49,18 @@ def clean_again(
     before: Unedited,
     progress: Progress,
 ) -> Draft:
-    """Return the draft of a take in which edits already changed sides and joints."""
+    """Return the draft of a take, cleaned again near its edits."""
     names = [stage.name for stage in stages]
     correct, feet = names.index("correct"), names.index("feet")
     away = _away(take, [edit for edit in edits if edit.kind in _OF_TAKE])
-    changed, draft = Draft.of(take), copy(before.corrected)
+    since = take.time - take.time[0]
+    if "failures" in names:
+        changed = Draft.of(take)
+        changed.exchanged = exchanged(edits, since)
+        changed.distrusted = distrusted(edits, since, take.skeleton)
+    else:
+        changed = Draft.of(edited(take, edits, since))
+    draft = copy(before.corrected)
     changed.unedited = draft.unedited = before
     changed.failures = before.done.failures
     if np.isfinite(away).any():

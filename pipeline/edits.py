@@ -25,15 +25,15 @@ An edits file is TOML; times are in seconds after the take's first frame::
 
 import json
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import CONTACTS, InputError, State, Take
+from kinefilter.characters import CONTACTS, InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, shown
 from kinefilter.characters.motion import LATEST_TIME_STAMP
 from kinefilter.characters.skeleton import SIDES
@@ -217,31 +217,41 @@ def with_contacts(contacts: Flags, edits: Iterable[Edit], since: Array) -> Flags
     return contacts
 
 
-def edited(take: Take, edits: Iterable[Edit], since: Array | None = None) -> Take:
-    """Return a take with swapped sides restored and distrusted joints removed.
-
-    Sides are swapped first. ``since`` are times [s] of a sensor's frames after the
-    first of a merged take, (T,), whose edits were checked; by default the take's own.
-    Raises an InputError if the take lacks an edit's joint or time, or no joint is left.
-    """
-    checked, skeleton = since is not None, take.skeleton
-    since = take.time - take.time[0] if since is None else since
-    for edit in sorted(edits, key=lambda edit: edit.kind != "exchange"):
-        frames = edit.frames(since)
-        if not checked:
-            _check(edit, frames, take)
+def exchanged(edits: Iterable[Edit], since: Array) -> Flags:
+    """Return where sides are swapped, (T,); ``since`` as for ``Edit.frames``."""
+    frames = np.zeros(len(since), np.bool_)
+    for edit in edits:
         if edit.kind == "exchange":
-            take = take.swapped(frames)
-        elif edit.kind == "distrust":
-            names = chain.from_iterable(LIMBS.get(n, (n,)) for n in edit.joints)
-            gone = [skeleton.index(n) for n in names if n in skeleton.joints]
-            where = frames[:, None] & np.isin(np.arange(len(skeleton)), gone)
-            positions, state = take.positions.copy(), take.state.copy()
-            positions[where], state[where] = np.nan, State.NOT_TRACKED
-            take = replace(take, positions=positions, state=state)
-    if not checked and not np.isfinite(take.positions).any():
+            frames ^= edit.frames(since)
+    return frames
+
+
+def distrusted(edits: Iterable[Edit], since: Array, skeleton: Skeleton) -> Flags:
+    """Return which joints are distrusted, (T, J); ``since`` as for ``Edit.frames``."""
+    wrong = np.zeros((len(since), len(skeleton)), np.bool_)
+    for edit in edits:
+        if edit.kind == "distrust":
+            names = list(chain.from_iterable(LIMBS.get(n, (n,)) for n in edit.joints))
+            wrong |= edit.frames(since)[:, None] & np.isin(skeleton.joints, names)
+    return wrong
+
+
+def edited(take: Take, edits: Sequence[Edit], since: Array) -> Take:
+    """Return a take with sides swapped, then without distrusted joints.
+
+    ``since`` as for ``Edit.frames``.
+    """
+    swapped = take.swapped(exchanged(edits, since))
+    return swapped.without(distrusted(edits, since, take.skeleton))
+
+
+def check_edits(take: Take, edits: Sequence[Edit]) -> None:
+    """Raise an InputError if a take lacks an edit's joints or time, or none is left."""
+    since = take.time - take.time[0]
+    for edit in edits:
+        _check(edit, edit.frames(since), take)
+    if not np.isfinite(edited(take, edits, since).positions).any():
         raise InputError(f"{take.source}: the edits distrust every joint; leave some")
-    return take
 
 
 def _check(edit: Edit, frames: Flags, take: Take) -> None:

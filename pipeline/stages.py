@@ -90,7 +90,8 @@ class Stage(ABC):
 class Failures(Stage):
     """Finds gross tracker failures and repairs them where possible.
 
-    Swapped sides are swapped back; impossible bodies and limbs are discarded.
+    Swapped sides are swapped back; impossible bodies and limbs are discarded. Edits may
+    swap sides again, and name joints to discard.
     """
 
     name = "failures"
@@ -114,8 +115,10 @@ class Failures(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Find and repair the failures of a take."""
         take = draft.take()
-        draft.failures = find_failures(take)
+        draft.failures = find_failures(take, draft.exchanged, draft.distrusted)
         take = repaired(take, draft.failures)
+        if draft.distrusted is not None:
+            take = take.without(draft.distrusted)
         draft.measured, draft.state, draft.face = take.positions, take.state, take.face
 
 

@@ -19,7 +19,7 @@ from kinefilter.pipeline.cleaner import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.draft import Unedited
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile, read_edits
-from kinefilter.pipeline.failures import FailureKind
+from kinefilter.pipeline.failures import FailureKind, gross
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulation import simulate, simulate_session
 from kinefilter.pipeline.pairs import PairedTake
@@ -125,10 +125,7 @@ def test_nothing_moves_farther_off_than_half_a_second(
     found = Cleaner().clean(pair.take, edits=edits, before=unedited)
     moved, here = apart(found, before), during(pair.take, around=0.5)
     assert moved[~here].max() < 1e-9
-    if "exchange" in told:  # cleaning finds the swap in this good take and undoes it
-        assert FailureKind.MIRRORED in {failure.kind for failure in found.failures}
-    else:
-        assert moved[during(pair.take)].max() > 0.005
+    assert moved[during(pair.take)].max() > 0.005
     # Nor does it jump at the ends of that.
     edges = here & ~during(pair.take, around=0.45)
     assert moved[edges].max() < 0.002
@@ -303,17 +300,28 @@ def test_sides_are_put_back_before_joints_are_named(
     told = table("distrust", joints='"right-arm"')
     wanted = cleaned(pair.take, edited(tmp_path, told)).clip
     wrong = pair.take.swapped(during(pair.take))
-    found = cleaned(wrong, edited(tmp_path, told + table("exchange"))).clip
+    found = cleaned(wrong, edited(tmp_path, told)).clip
     moved = np.linalg.norm(found.positions - wanted.positions, axis=-1)
     assert moved[during(pair.take)].max() < 0.02
 
 
-def test_sides_that_are_exchanged_are_put_back(
-    pair: PairedTake, posed: CleanResult, tmp_path: Path
+@pytest.mark.parametrize("finds", [False, True], ids=["missed", "wrongly-found"])
+def test_exchanged_sides_are_the_other_way_than_without_the_edit(
+    pair: PairedTake, posed: CleanResult, monkeypatch: pytest.MonkeyPatch, finds: bool
 ) -> None:
-    wrong = pair.take.swapped(during(pair.take))
-    found = cleaned(wrong, edited(tmp_path, table("exchange")))
-    assert apart(found, posed)[during(pair.take)].max() < 0.02
+    """Whether cleaning missed a swap, or swapped sides that had been right."""
+    inside = during(pair.take)
+    both = np.repeat(inside[:, None] & finds, 2, axis=1)
+    monkeypatch.setattr(gross, "swapped_frames", lambda _: both)
+    take = pair.take if finds else pair.take.swapped(inside)
+    wrong = cleaned(take)
+    assert apart(wrong, posed)[inside].max() > 0.3
+    edits = [Edit("exchange", BEGIN, END)]
+    found = Cleaner(CleanConfig(physics=False)).clean(take, edits=edits)
+    assert apart(found, posed)[inside].max() < 0.05
+    kinds = [{failure.kind for failure in made.failures} for made in (wrong, found)]
+    swaps = [FailureKind.MIRRORED in which for which in kinds]
+    assert swaps == [finds, not finds]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from kinefilter.characters import State, Take
+from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.plain import times_told
@@ -116,30 +116,41 @@ def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, .
     return tuple(sentences)
 
 
-def find_failures(take: Take) -> tuple[Failure, ...]:
-    """Return the gross failures in a take, time stamps strictly increasing."""
+def find_failures(
+    take: Take, exchanged: Flags | None = None, distrusted: Flags | None = None
+) -> tuple[Failure, ...]:
+    """Return the gross failures in a take, time stamps strictly increasing.
+
+    Where edits say ``exchanged``, (T,), sides count as swapped if otherwise they would
+    not, and the other way around. ``distrusted`` joints (T, J), as named after that,
+    have no failures.
+    """
     if len(take) < 2:
         return ()
     time, kind = take.time, FailureKind
     found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
-    take = without_lost_joints(take, found)
+    take = take.without(lost_joints(found, take))
     stray = stray_joints(take.positions, middles(take.positions))
     for joint, frames in zip(take.skeleton.joints, stray.T, strict=True):
         found += stretches(time, kind.STRAY, joint, frames)
     found += stretches(time, kind.SUNKEN, "body", sunken_frames(take))
-    take = without_lost_joints(take, found)
+    take = take.without(lost_joints(found, take))
     wrong, jumps = misplaced_frames(take)
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
-    take = without_lost_joints(take, found)
+    take = take.without(lost_joints(found, take))
     for part in EXCHANGED:
         frames = exchanged_frames(unmirrored(take, found), part)
         found += stretches(time, kind.MIRRORED, part, frames)
     swapped = swapped_frames(unmirrored(take, found))
+    if exchanged is not None:
+        swapped = swapped ^ exchanged[:, None]
     for part, which in _SIDES_OF.items():
         frames = (swapped == which).all(axis=1)
         found += stretches(time, kind.MIRRORED, part, frames)
     take = unmirrored(take, found)  # sides are named as they are once swapped back
+    if distrusted is not None:
+        take = take.without(distrusted)
     for side in SIDES:
         for limb, what, frames, shortest in (
             ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
@@ -181,22 +192,13 @@ def lost_joints(failures: Iterable[Failure], take: Take) -> Flags:
     return lost
 
 
-def without_lost_joints(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take with ``lost_joints`` not tracked."""
-    lost = lost_joints(failures, take)
-    if not lost.any():
-        return take
-    state = np.where(lost, np.uint8(State.NOT_TRACKED), take.state)
-    return replace(take, state=state)  # which has no position there either
-
-
 def repaired(take: Take, failures: Sequence[Failure]) -> Take:
     """Return a take with left and right swapped back and without ``lost_joints``."""
     limbs = [failure for failure in failures if failure.kind in _IMPOSSIBLE_LIMB]
     others = [failure for failure in failures if failure not in limbs]
     # Impossible limbs have the sides that they have once these are swapped back.
-    mended = unmirrored(without_lost_joints(take, others), others)
-    return without_lost_joints(mended, limbs)
+    mended = unmirrored(take.without(lost_joints(others, take)), others)
+    return mended.without(lost_joints(limbs, take))
 
 
 def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:

@@ -12,7 +12,7 @@ from kinefilter.pipeline.cleaner import Cleaner, CleanResult
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.edits import Edit, edited, read_edits
+from kinefilter.pipeline.edits import Edit, check_edits, edited, read_edits
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.stages import Correct
@@ -50,7 +50,7 @@ def clean_session(
         edits = read_edits(config.edits) if config.edits else ()
     config = replace(config, edits=None)
     merged = merge(takes, body=body, calibration=calibration, progress=progress)
-    edited(merged.take, edits)  # refuses them before any work is done
+    check_edits(merged.take, edits)  # before any work is done
     cleaner, before = _cleaner(merged, config, (), progress), None
     if edits:
         before = cleaner.unedited(merged.take, progress)
