@@ -70,7 +70,7 @@ def clean_again(
             draft.put(part, frames, away <= _AROUND)
     for stage in stages[correct + 1 : feet]:
         stage.run(draft, progress)
-    away_of_feet = _plant(stages[feet], draft, edits, before.planted, progress)
+    away_of_feet = _plant(stages[feet], draft, edits, progress)
     away = np.minimum(_away(take, edits), away_of_feet)
     pin(draft, [edit for edit in edits if edit.kind == "pin"])
     share = smooth_step((_FADED - away) / (_FADED - _FULL))[:, None]
@@ -123,7 +123,7 @@ def _fade(part: Draft, before: Draft, away: Array) -> None:
 
 
 def _plant(
-    stage: Stage, draft: Draft, edits: Sequence[Edit], before: Draft, progress: Progress
+    stage: Stage, draft: Draft, edits: Sequence[Edit], progress: Progress
 ) -> Array:
     """Plant the feet with the edited contacts.
 
@@ -136,9 +136,10 @@ def _plant(
     if edits and isinstance(stage, Feet):
         stage = copy(stage)
         stage.given = with_contacts(draft.contacts, edits, since)
+        before = draft.positions
         vars(draft).update(vars(loose))
         stage.run(draft, progress)
-        apart = draft.positions - before.positions
+        apart = draft.positions - before
         feet = np.ravel(ankles_and_toes(draft.skeleton))
         moved = np.abs(apart[:, feet]).max(axis=(1, 2)) > _MOVED
         for edit in edits:

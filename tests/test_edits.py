@@ -224,13 +224,19 @@ def test_a_foot_stands_where_it_is_said_and_nothing_slides_for_that(
     first = span.start if stands else 133
     begin, end = take.time[[first, first + 5]] - take.time[0]
     told = f'[[contact]]\npart = "left foot"\nstands = {str(stands).lower()}\n'
-    found = cleaned(take, edited(tmp_path, f"{told}begin = {begin}\nend = {end}\n"))
+    told += f"begin = {begin}\nend = {end}\n"
+    found = cleaned(take, edited(tmp_path, told))
     inside = slice(first, first + 6)
     assert (found.clip.contacts[inside][:, :2] == stands).all()
     assert (found.clip.contacts[:, 2:] == plain.clip.contacts[:, 2:]).all()
     toe = take.skeleton.index("FootLeft")
     for stance in runs(found.clip.contacts[:, 1], 6):
         assert np.ptp(found.clip.positions[stance, toe], axis=0).max() < 0.01
+    # Nor does it move other steps if an arm is distrusted at the same time.
+    told += table("distrust", begin, end, '"right-arm"')
+    both = cleaned(take, edited(tmp_path, told))
+    moved = [apart(one, plain).max(axis=1) > 1e-4 for one in (found, both)]
+    assert (moved[1] & ~moved[0]).sum() < 10
 
 
 def test_edits_of_several_sensors_move_nothing_else_either() -> None:
