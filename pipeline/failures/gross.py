@@ -140,9 +140,9 @@ def find_failures(
     found += stretches(time, kind.JUMPING, "body", jumps)
     take = take.without(lost_joints(found, take))
     for part in EXCHANGED:
-        frames = exchanged_frames(unmirrored(take, found), part)
+        frames = exchanged_frames(_limbs_put_back(take, found), part)
         found += stretches(time, kind.MIRRORED, part, frames)
-    swapped = swapped_frames(unmirrored(take, found))
+    swapped = swapped_frames(_limbs_put_back(take, found))
     if exchanged is not None:
         swapped = swapped ^ exchanged[:, None]
     for part, which in _SIDES_OF.items():
@@ -201,14 +201,21 @@ def repaired(take: Take, failures: Sequence[Failure]) -> Take:
     return mended.without(lost_joints(limbs, take))
 
 
-def unmirrored(take: Take, failures: Iterable[Failure]) -> Take:
-    """Return a take with left and right swapped back where they were mirrored."""
+def unmirrored(take: Take, failures: Sequence[Failure]) -> Take:
+    """Return a take with left and right swapped back where they were mirrored.
+
+    Its hips and shoulders turn evenly where they do not show which way they face.
+    """
     swapped = np.zeros((len(take), 2), dtype=bool)
     for failure in failures:
-        if failure.kind is not FailureKind.MIRRORED:
-            continue
-        if failure.part in EXCHANGED:
-            take = put_back(take, failure.part, failure.frames)
-        else:
+        if failure.kind is FailureKind.MIRRORED and failure.part not in EXCHANGED:
             swapped[failure.frames] |= _SIDES_OF[failure.part]
-    return swapped_back(take, swapped) if swapped.any() else take
+    return swapped_back(_limbs_put_back(take, failures), swapped)
+
+
+def _limbs_put_back(take: Take, failures: Iterable[Failure]) -> Take:
+    """Return a take with exchanged limbs put back."""
+    for failure in failures:
+        if failure.kind is FailureKind.MIRRORED and failure.part in EXCHANGED:
+            take = put_back(take, failure.part, failure.frames)
+    return take

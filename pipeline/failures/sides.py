@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
-from kinefilter.characters.rotations import wrapped
-from kinefilter.retarget import HeadingFrame, find_yaw
+from kinefilter.retarget import find_yaw
+
+from .trunk import steadied
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
 # two-kinects; what it costs to walk backward and to be swapped, and what is only for a
@@ -37,8 +38,6 @@ _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
 _LEAST_WEIGHT = 1e-3  # of a joint that is not tracked
 _APART = 0.1  # cost of each frame in which only arms or only legs are swapped
-_JUMP = np.radians(20.0)  # rad from a frame to the next: no turn, the heading jumps
-_EVENLY = 0.25  # s before and after such a jump in which the trunk turns instead
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
 _LEAP = 3.0  # weight of the distance that they move between twice ``_AROUND``
 _AROUND = 0.1  # s before and after a change
@@ -260,9 +259,8 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     """Return a take with sides swapped back, as from ``swapped_frames`` (T, 2).
 
     Toes of people whom the sensor takes for others who face it point at the sensor;
-    they are turned to their mirror image in the frontal plane. A sensor shows the trunk
-    of people at its side turned toward itself, so their heading jumps where sides
-    change; the trunk turns evenly there, in half a second.
+    they are turned to their mirror image in the frontal plane. Hips and shoulders turn
+    evenly where sides change, and where they do not show which way they face.
     """
     skeleton, mirrored = take.skeleton, take.swapped()
     frames, legs = swapped.T
@@ -273,29 +271,14 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     face = take.face
     if face is not None:  # nobody has one who is seen from behind
         face = np.where(frames[:, None], np.nan, face)
+    changes = (np.flatnonzero(np.diff(frames)) + 1).tolist()
+    mended = replace(take, positions=positions, state=state, face=face)
+    positions = steadied(mended, changes).positions.copy()
     yaw = _yaw(positions, skeleton)
     for foot in skeleton.sides("Foot"):
         ankle = positions[legs, skeleton.parents[foot]]
         positions[legs, foot] = _in_front(positions[legs, foot], ankle, yaw[legs])
-    root = positions[:, skeleton.root]
-    known = np.isfinite(yaw) & np.isfinite(root[:, 0])
-    if known.any():
-        yaw = np.interp(take.time, take.time[known], np.unwrap(yaw[known]))
-    even = yaw.copy()
-    for change in np.flatnonzero(np.diff(frames)).tolist():
-        if abs(wrapped(even[change + 1] - even[change])) > _JUMP:
-            turn = _around(take.time, change, _EVENLY)
-            ends = [turn.start, turn.stop - 1]
-            first, last = even[ends]
-            way = [first, first + wrapped(last - first)]  # never the long way around
-            even[turn] = np.interp(take.time[turn], take.time[ends], way)
-    turned = known & (np.abs(even - yaw) > 1e-9)
-    before, after = (HeadingFrame(root[turned], way[turned]) for way in (yaw, even))
-    limbs = (*_below(skeleton, "Shoulder"), *_below(skeleton, "Hip"))
-    trunk = np.setdiff1d(np.arange(len(skeleton)), limbs)
-    posture = before.remove(positions[turned][:, trunk])
-    positions[np.ix_(turned, trunk)] = after.restore(posture)
-    return replace(take, positions=positions, state=state, face=face)
+    return replace(mended, positions=positions)
 
 
 def _below(skeleton: Skeleton, name: str) -> list[int]:
@@ -309,10 +292,3 @@ def _in_front(toes: Array, ankles: Array, yaw: Array) -> Array:
     forward = _direction(yaw)
     behind = np.fmin(np.vecdot(toes - ankles, forward), 0.0)
     return np.asarray(toes - 2.0 * behind[:, None] * np.nan_to_num(forward))
-
-
-def _around(time: Array, change: int, seconds: float) -> slice:
-    """Return the frames within some time of the middle between a frame and the next."""
-    middle = time[[change, change + 1]].mean()
-    first = int(np.searchsorted(time, middle - seconds))
-    return slice(first, int(np.searchsorted(time, middle + seconds, "right")))
