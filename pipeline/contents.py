@@ -26,10 +26,10 @@ from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
-from .edits import LIMBS
+from .edits import LIMBS, read_edits
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
-from .formats.files import check_file
+from .formats.files import beginning, check_file
 from .formats.glb_reader import read_glb, read_glb_times
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
@@ -48,6 +48,7 @@ _PARTS = {
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
+_CALIBRATION = "kinefilter calibration"  # as merge/calibration.py writes it
 _IN_PLACE = 1e-5  # m over the floor: no one stands so still
 _LISTED = 30  # joint names listed on a terminal
 _SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}
@@ -87,6 +88,12 @@ def contents_of(
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
+    elif _CALIBRATION in beginning(file):
+        contents = _of_calibration(file)
+    elif file.suffix.lower() == ".toml":
+        edits = [edit.summary for edit in read_edits(file)]
+        contents = {"kind": "edits", "format": "toml", "edits": len(edits)}
+        contents["notes"] = edits
     else:
         contents = _of_recording(read_recording(path))
     return {"file": name} | contents
@@ -178,6 +185,20 @@ def _of_contacts(path: Path) -> dict[str, Any]:
         "start_s": float(time[0]),
         "seconds": float(time[-1] - time[0]),
         "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
+    }
+
+
+def _of_calibration(path: Path) -> dict[str, Any]:
+    from .merge import read_calibration
+
+    places = [found.placed for found in read_calibration(path)]
+    sensors = json.loads(path.read_text(encoding="utf-8"))["sensors"]
+    return {
+        "kind": "calibration",
+        "format": "json",
+        "sensors": [sensor.get("source") for sensor in sensors],
+        "turned_degrees": [round(np.degrees(p.turn.magnitude()), 1) for p in places],
+        "away_m": [round(float(np.linalg.norm(p.shift)), 2) for p in places],
     }
 
 

@@ -68,6 +68,11 @@ class Settings:
         if len(set(self.sensors)) != len(self.sensors) or len(self.sensors) == 1:
             names = " ".join(self.sensors)
             raise InputError(f"--sensors {names}: expected two or more, each once")
+        if self.config.gaps == "split" and (self.export.begin or self.export.end):
+            raise InputError(
+                "--gaps split cannot be combined with --begin or --end, which count "
+                "from the take's first frame; leave it out, or write whole parts"
+            )
 
     def read(self, path: Path) -> Recording:
         """Read a take with these settings; errors as for ``read_recording``."""

@@ -81,7 +81,7 @@ def _edited(rng: Rng) -> bytes:
         lambda: frame.pop("time"),
         lambda: frame.update(bodies={}),
         lambda: frame.update(bodies=[body] * 2),
-        lambda: frame.update(bodies=[{**body, "id": n} for n in range(7)]),
+        lambda: frame.update(bodies=[{**body, "id": n} for n in range(33)]),
         lambda: frame.update(extra=1),
     ]
     edits[int(rng.integers(len(edits)))]()

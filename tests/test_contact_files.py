@@ -18,6 +18,7 @@ from pxr import Usd
 
 from kinefilter.characters import CONTACTS, Clip, InputError
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import (
     read_clip,
     read_contacts,
@@ -134,6 +135,10 @@ def test_spreadsheets_round_add_marks_blanks_and_blank_lines(tmp_path: Path) -> 
     found = read_contacts(tmp_path / "c.csv", time)
     assert found[:, 1].tolist() == [True, True, False, False]
     assert found[:, 0].tolist() == [True, False, False, False]
+    german = text.replace(",", ";").replace(".", ",")
+    (tmp_path / "german.csv").write_text(german, encoding="utf-8")
+    np.testing.assert_array_equal(read_contacts(tmp_path / "german.csv", time), found)
+    assert contents_of(tmp_path / "german.csv")["kind"] == "contacts"
     (tmp_path / "c.csv.gz").write_bytes(gzip.compress(text.encode()))
     np.testing.assert_array_equal(read_contacts(tmp_path / "c.csv.gz", time), found)
 
@@ -145,7 +150,7 @@ def test_spreadsheets_round_add_marks_blanks_and_blank_lines(tmp_path: Path) -> 
         (["0,1,1,1,1", "0.1,1,2,1,1"], ["row 3"]),
         (["0,1,1,1,1", "0.1,1,,1,1"], ["row 3"]),
         (["0,1,1,1,1", "0.1,1,0.5,1,1"], ["row 3"]),
-        (["0,1,1,1,1", "0.1,1,yes,1,1"], ["row 3", "ToeLeft", "'yes'"]),
+        (["0,1,1,1,1", "0.1,1,yes,1,1"], ["row 3", "ToeLeft", "'yes'", "write 1 on"]),
         (["0,1,1,1,1", ",1,0,1,1"], ["row 3"]),
         (["0,1,1,1,1", "", "0.2,1,1,1"], ["row 4", "4 columns"]),
         (["0,1,1,1,1", "0.2,1,1,1,1", "0.1,0,0,0,0"], ["row 4"]),
@@ -163,7 +168,7 @@ def test_a_wrong_row_is_refused_by_its_number(
 
 @pytest.mark.parametrize(
     "header",
-    ["", "time,HeelLeft,ToeLeft,HeelRight\n", "t,a,b,c,d\n", HEADER.replace(",", ";")],
+    ["", "time,HeelLeft,ToeLeft,HeelRight\n", "t,a,b,c,d\n"],
 )
 def test_a_wrong_header_is_refused_with_the_right_one(
     tmp_path: Path, header: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -231,6 +232,22 @@ def test_a_take_is_split_at_its_gaps(held: CleanResult, tmp_path: Path) -> None:
     split = Cleaner(CleanConfig(gaps="split", tilt=0.0)).clean(_with_gap(60.0, _walk()))
     np.testing.assert_array_equal(split.clips[1].time, held.clip.time[FRAMES:])
     assert split.notes[0].endswith(": the next clip begins")
+
+
+def test_a_span_within_a_gap_is_told_and_with_parts_it_is_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    take = tmp_path / "walk.csv"
+    write_take_csv(_with_gap(60.0, _walk()), take)
+    out = tmp_path / "walk.bvh"
+    words = ["clean", str(take), "-o", str(out), "--begin", "10", "--end", "20"]
+    assert main(words) == 2
+    told = capfd.readouterr().err
+    assert re.search(r"walk.csv: no frames from [\d.]+ to 6\d[\d.]* s; choose", told)
+    # Seconds of the take would be counted from the beginning of each part.
+    assert main([*words, "--gaps", "split"]) == 2
+    assert "--gaps split cannot be combined with --begin" in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [take.name]
 
 
 def test_no_part_overwrites_what_the_user_has(tmp_path: Path) -> None:

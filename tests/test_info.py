@@ -6,12 +6,14 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from published_layouts import azure_json, msrc_12_text, ntu_text
 from real_data import TAKES, recorded
+from scipy.spatial.transform import Rotation
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, State, Take
@@ -21,6 +23,9 @@ from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats import write_clip, write_contacts, write_take_csv
 from kinefilter.pipeline.formats.export import Export
 from kinefilter.pipeline.lab.simulation import simulate, write_pairs
+from kinefilter.pipeline.merge import Alignment, write_calibration
+from kinefilter.pipeline.merge.lag import Clock
+from kinefilter.pipeline.merge.rigid import Placement
 
 MakeClip = Callable[..., Clip]
 
@@ -43,6 +48,27 @@ def test_a_table_of_contacts_is_told(
     assert (contents["kind"], contents["rows"]) == ("contacts", len(clip))
     shares = contents["share_of_rows_on_the_floor"]
     assert shares["ToeRight"] == pytest.approx(clip.contacts[:, 3].mean())
+
+
+def test_edits_and_calibrations_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edits, calibration = tmp_path / "wave.edits.toml", tmp_path / "hall.json"
+    write_text(edits, '[[distrust]]\njoints = ["arms"]\nbegin = 1\nend = 2.5\n')
+    contents = told(edits, capsys)
+    assert (contents["kind"], contents["edits"]) == ("edits", 1)
+    assert contents["notes"] == ["arms distrusted from 1 to 2.5 s"]
+    turn, shift = (
+        Rotation.from_euler("y", 90.0, degrees=True),
+        np.array([3.0, 0.0, 4.0]),
+    )
+    clock = Clock(0.0, 1.5)
+    found = Alignment(clock, Placement(turn, shift), np.nan, np.inf, np.inf)
+    merged: Any = SimpleNamespace(sources=("hall/A.csv", "B.csv"), alignments=(found,))
+    write_calibration(merged, calibration)
+    contents = told(calibration, capsys)
+    assert contents["sensors"] == ["A.csv", "B.csv"]
+    assert (contents["turned_degrees"], contents["away_m"]) == ([90.0], [5.0])
 
 
 def walk() -> Take:

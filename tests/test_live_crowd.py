@@ -81,6 +81,19 @@ def test_a_clock_that_begins_anew_is_no_late_frame_even_if_it_was_not_posed() ->
     assert tally.events[Event.LATE] == 0
 
 
+def test_stamps_in_milliseconds_are_told_and_a_pause_in_seconds_is_not() -> None:
+    people, tally = crowd()
+    for row in range(40):
+        pause = 10.0 if row > 20 else 0.0
+        people.arrive(sample_frame(row, time=row / 30.0 + pause), row / 30.0)
+    assert tally.all_notes() == []
+    people, tally = crowd()
+    for row in range(20):
+        people.arrive(sample_frame(row, time=1e3 * row / 30.0), row / 30.0)
+    (note,) = tally.all_notes()
+    assert note == ("by their stamps, frames are 33.33 s apart: send times in seconds")
+
+
 def test_who_is_unseen_for_two_seconds_rests_and_the_number_is_used_again() -> None:
     people, tally = crowd()
     people.arrive(sample_frame(0, "a", "b"), 10.0)

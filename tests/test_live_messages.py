@@ -111,7 +111,7 @@ def test_a_joint_left_out_null_or_at_the_origin_is_missing() -> None:
         (_line(bodies=[{"id": "x" * 33, "joints": {}}]), Reason.BODIES),
         (_line(bodies=[{"id": "a\n", "joints": {}}]), Reason.BODIES),
         (_line(bodies=[{"id": 1, "joints": {}}] * 2), Reason.BODIES),
-        (_line(bodies=[{"id": n, "joints": {}} for n in range(7)]), Reason.BODIES),
+        (_line(bodies=[{"id": n, "joints": {}} for n in range(33)]), Reason.BODIES),
         (_line(bodies=[{"id": 1, "joints": {"Tail": [1, 1, 1]}}]), Reason.JOINT),
         (_line(bodies=[{"id": 1, "joints": [None] * 25}]), Reason.JOINTS),
         (_line(bodies=[{"id": 1, "joints": {"Head": [1, 1, 101]}}]), Reason.NUMBER),

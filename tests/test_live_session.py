@@ -36,6 +36,7 @@ from kinefilter.pipeline.live.endpoints import (
     Address,
     open_server,
 )
+from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Reason, format_frame
 from kinefilter.pipeline.live.sinks import Broadcast
 from kinefilter.pipeline.live.sources import Intake, Receiver
@@ -121,6 +122,18 @@ def test_malformed_messages_are_counted_and_the_next_frame_has_its_pose() -> Non
             assert 0 < longer < 20
 
     do(session())
+
+
+def test_people_beyond_those_followed_leave_them_their_poses() -> None:
+    session = Session(config(source="-", bodies=1))
+    for row in range(3):
+        others = () if row == 0 else tuple(f"passer-by {n}" for n in range(7))
+        session.receive(format_frame(sample_frame(row, *others, "1")))
+        turn = session.crowd.next()
+        assert turn is not None
+        assert (turn[0].id, turn[1].time) == ("1", row / 30.0)
+    assert session.tally.events[Event.CROWDED] == 14
+    assert not session.tally.malformed
 
 
 def test_a_sender_that_starts_again_is_followed_from_its_first_frame() -> None:

@@ -238,11 +238,15 @@ def _written(folder: Path, *takes: Take) -> list[str]:
     return paths
 
 
-def test_command_writes_a_take_that_reads_back(tmp_path: Path) -> None:
+def test_command_writes_a_take_that_reads_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = session(4)
     paths = _written(tmp_path, *found.takes)
     out, json_file = tmp_path / "merged.csv", tmp_path / "merged.json"
     assert main(["merge", *paths, "-o", str(out), "--json", str(json_file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(any(Path(path).name in line for line in lines) for path in paths)
     take, made = read_take(out), merge([read_take(path) for path in paths])
     np.testing.assert_allclose(take.positions, made.take.positions, atol=1e-8)
     np.testing.assert_array_equal(take.state, made.take.state)
@@ -329,6 +333,9 @@ def test_takes_that_do_not_belong_together_are_refused(
         assert main(["merge", *paths, "-o", str(out)]) == 2
         assert words in capsys.readouterr().err.replace("\n", " ")
         assert not out.exists()
+    none = ["--calibration", str(tmp_path / "none.json")]
+    assert main(["merge", *paths, "-o", str(out), *none]) == 2
+    assert "none.json: there is no such file" in capsys.readouterr().err
 
 
 _FAR_AWAY = """{"file": "kinefilter calibration", "sensors": [{"source": "a"},

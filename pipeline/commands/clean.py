@@ -101,16 +101,16 @@ class Clean:
         recording = recordings[0]
         several = len(recording.takes) > 1 and settings.body == "all"
         others = (self.json, self.save_contacts, self.report)
-        source = recording.takes[0].source
         for body in settings.people(recordings):
-            number, time = body if several else None, recording.take(body).time
+            number, take = body if several else None, recording.take(body)
             clip = None if self.one_file else number
             split = settings.config.gaps == "split"
-            parts = parts_of(time) if split else [slice(None)]
+            parts = parts_of(take.time) if split else [slice(None)]
             paths = part_paths(numbered(self.out, clip), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                with_frame_rate(settings.export, self.out.suffix, time[part], source)
+                time, suffix = take.time[part], self.out.suffix
+                with_frame_rate(settings.export, suffix, time, take.source)
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)

@@ -83,7 +83,8 @@ def _as_table(merged: Merged) -> Table:
     table = Table(sensor, title=f"{len(merged.take)} frames merged")
     headings = ("lag, s", "drift, ms/min", "angle, deg", "distance, m")
     for heading in (*headings, "share, %", "residual, cm"):
-        table.add_column(heading, justify="right", no_wrap=True)
+        lines = heading.replace(" ", "\n")  # leaves room for names
+        table.add_column(lines, justify="right", no_wrap=True)
     for row in merged.figures()["sensors"]:
         residual = row["apart_meters"]
         table.add_row(

@@ -219,6 +219,11 @@ def span_of(export: Export, time: Array, source: str) -> slice:
     begin, end = export.begin or 0.0, duration if export.end is None else export.end
     slack = 1.0 / frames_per_second(time)
     first, stop = np.searchsorted(since, [begin - _END * slack, end + _END * slack])
+    if 0 < first == stop < len(time):
+        raise InputError(
+            f"{source}: no frames from {since[first - 1]:.4g} to {since[first]:.4g} s; "
+            "choose --begin and --end outside of this gap"
+        )
     if first >= stop or end > duration + slack:
         raise InputError(
             f"{source}: no frames from {begin:g} to {end:g} s, it has {len(time)} in "

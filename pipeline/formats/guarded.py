@@ -28,7 +28,9 @@ _SECONDS, _PER_BYTE = 15.0, 2e-6
 what valid files need. A guess."""
 _PATIENCE = 8.0  # wall time over processor time at most, on a busy machine
 _INTERVAL = 0.1  # s between checks of memory and time
-_MEMORY = 2 * 2**30  # bytes, libraries included
+_MEMORY, _MEMORY_PER_BYTE = 2 * 2**30, 40
+"""Limit of memory [bytes] for any file, libraries included, and in addition per byte:
+twice what USD of an hour takes."""
 _LARGEST_USD = 2**31  # bytes
 _REFUSED = 3  # exit code: the message is on standard error
 
@@ -44,7 +46,7 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
     command = [sys.executable, "-m", __name__, reader, path]
     own = {"OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    most = _SECONDS + _PER_BYTE * Path(path).stat().st_size
+    most, memory = _SECONDS + _PER_BYTE * Path(path).stat().st_size, _memory(path)
     with subprocess.Popen(command, env=os.environ | own, **pipes) as process:
         for checks in count(1):
             with suppress(subprocess.TimeoutExpired):
@@ -54,7 +56,7 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
             with suppress(psutil.Error):
                 watched = psutil.Process(process.pid)
                 used = sum(watched.cpu_times()[:2])
-                if watched.memory_info().rss > _MEMORY:
+                if watched.memory_info().rss > memory:
                     process.kill()
             if used > most or checks * _INTERVAL > _PATIENCE * most:
                 process.kill()
@@ -90,11 +92,15 @@ def read_usd(reader: str, path: AnyPath) -> dict[str, NDArray[Any]]:
     return read_guarded(f"usd_reader:{reader}", source)
 
 
+def _memory(path: str) -> int:
+    return _MEMORY + _MEMORY_PER_BYTE * Path(path).stat().st_size
+
+
 def _main(reader: str, path: str) -> int:
     if sys.platform == "linux":  # elsewhere, only the parent process limits memory
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (_memory(path),) * 2)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # Keep what the libraries print out of the arrays.
     output = os.fdopen(os.dup(sys.stdout.fileno()), "wb")

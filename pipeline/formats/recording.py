@@ -25,7 +25,7 @@ MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
 FASTEST = 2000.0  # frames/s, of marker mocap
 ASSUMED_FPS = 30.0
 """Frame rate [frames/s] of files without time stamps."""
-_LONGEST_STEP = 1.0  # s between frames, median: slower is not motion. A guess
+LONGEST_STEP = 1.0  # s between frames, median: slower is not motion. A guess
 _SHORTEST_NUMBER = 4.0  # a larger step is not in seconds: 4 ms at 250 frames/s
 _UNITS = {
     "milliseconds": 1e3,
@@ -196,13 +196,13 @@ def check_rate(time: Array, source: str) -> None:
             f"{source}: {distinct} frames in {seconds:.3g} s, typically {step:.2g} s "
             "apart, are faster than any sensor; are the times in seconds?"
         )
-    if step > _LONGEST_STEP:
+    if step > LONGEST_STEP:
         unit, factor = min(_UNITS.items(), key=lambda u: abs(np.log(30 * step / u[1])))
         hint = f"the time stamps look like {unit}: divide them by {factor:.0f}"
         hint = hint if step > _SHORTEST_NUMBER else "record more frames"
         raise InputError(
             f"{source}: frames are {step:.4g} s apart, expected at most "
-            f"{_LONGEST_STEP:g} s; {hint}"
+            f"{LONGEST_STEP:g} s; {hint}"
         )
     latest = max(time[0], time[-1], key=abs)
     spacing = np.spacing(abs(latest))

@@ -34,6 +34,8 @@ class RowReader:
     columns: tuple[str, ...]
     normalize: Callable[[str], str] = lambda line: ",".join(line.split())
     """Turns a line into comma-separated cells, one per column if the line is valid."""
+    hint: str = "leave the cell empty if nothing was measured"
+    """What to do about a cell that is no number."""
 
     def read(
         self, lines: Iterable[str], first_row: int, most: float = math.inf
@@ -81,8 +83,8 @@ class RowReader:
                 numbers.append(float(cell or "nan"))
             except ValueError:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
-                hint = "leave the cell empty if nothing was measured"
-                self._fail(row, column, f"is {word!r}, expected a number; {hint}")
+                wrong = f"is {word!r}, expected a number; {self.hint}"
+                self._fail(row, column, wrong)
         return numbers
 
     def refuse(self, block: Block, wrong: Flags, complaint: str) -> None:

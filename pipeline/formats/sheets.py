@@ -130,8 +130,21 @@ def header_cells(line: str) -> tuple[str, ...]:
     return tuple("time" if cell.lower() == "time" else cell for cell in cells)
 
 
+def _with_commas(header: str) -> Callable[[str], str]:
+    """Return what turns the lines below a header into cells with commas between."""
+    separator = _separator(header)
+
+    def normalize(line: str) -> str:
+        line = line.replace('"', "")
+        if separator != ",":  # then a comma is a decimal one
+            line = line.replace(",", ".").replace(separator, ",")
+        return line
+
+    return normalize
+
+
 def _kinefilter(line: str, source: str) -> _Layout:
-    columns, separator = header_cells(line), _separator(line)
+    columns = header_cells(line)
     named = [column for column in columns if column]  # spreadsheets add empty ones
     parts = [column for column in named if column != "time"]
     joints = tuple(dict.fromkeys(part.rpartition(".")[0] or part for part in parts))
@@ -162,14 +175,7 @@ def _kinefilter(line: str, source: str) -> _Layout:
         wrong = f" has no column {missing[0]}; add it or delete the joint's columns"
     if wrong:
         raise InputError(f"{source}: row 1{wrong}")
-
-    def normalize(line: str) -> str:
-        line = line.replace('"', "")
-        if separator != ",":  # then a comma is a decimal one
-            line = line.replace(",", ".").replace(separator, ",")
-        return line
-
-    return _Layout(skeleton, columns, normalize, 1.0, has_header=True)
+    return _Layout(skeleton, columns, _with_commas(line), 1.0, has_header=True)
 
 
 def _kinect_v1(line: str, source: str) -> _Layout:
@@ -309,7 +315,7 @@ def read_contacts(path: AnyPath, time: Array) -> Flags:
 
 def claims_contacts(path: AnyPath) -> bool:
     """Return True if a file begins like one of ``write_contacts``."""
-    return beginning(path).startswith(",".join(_CONTACT_HEADER))
+    return header_cells(beginning(path).partition("\n")[0]) == _CONTACT_HEADER
 
 
 def contact_table(path: AnyPath) -> tuple[Array, Flags]:
@@ -322,13 +328,14 @@ def contact_table(path: AnyPath) -> tuple[Array, Flags]:
         clip = read_npz(path)
         return clip.time, clip.contacts
     with open_text(path) as file:
-        header = tuple(cell.strip() for cell in next(iter(file), "").split(","))
-        if header != _CONTACT_HEADER:
+        header = next(iter(file), "")
+        if header_cells(header) != _CONTACT_HEADER:
             raise InputError(
-                f"{source}: row 1 is {','.join(header)[:60]!r}; expected the header "
+                f"{source}: row 1 is {header.strip()[:60]!r}; expected the header "
                 f"{','.join(_CONTACT_HEADER)} of 'kinefilter clean --save-contacts'"
             )
-        block = RowReader(source, _CONTACT_HEADER, str.strip).read(file, 2)
+        cells, hint = _with_commas(header), "write 1 on the floor, 0 above it"
+        block = RowReader(source, _CONTACT_HEADER, cells, hint).read(file, 2)
     time, flags = block.values[:, 0], block.values[:, 1:]
     wrong = ~np.isin(flags, (0.0, 1.0)).all(axis=1) | np.isnan(time)
     wrong[1:] |= np.diff(time) < 0.0

@@ -9,10 +9,11 @@ import numpy as np
 from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
+from kinefilter.pipeline.formats.recording import LONGEST_STEP
 from kinefilter.pipeline.reliability import measure_body
 
 from .live_config import LiveConfig
-from .messages import Frame, SeenBody, as_arrays
+from .messages import Frame, Reason, SeenBody, as_arrays
 from .tally import Event, Tally
 
 _LOST_BY_LEAD = 0.12  # s without the leading sensor until other sensors' frames count
@@ -83,6 +84,11 @@ class Stamps:
         self._last: float | None = None
         self._steps: deque[float] = deque(maxlen=_STEPS)
 
+    @property
+    def usual_step(self) -> float:
+        """The sender's usual step [s]; 0 before there are enough."""
+        return float(np.median(self._steps)) if len(self._steps) == _STEPS else 0.0
+
     def arrive(self, time: float) -> tuple[Event | None, int]:
         """Return whether a stamp [s] is out of order, and how many frames are missing.
 
@@ -100,8 +106,8 @@ class Stamps:
             self._last = last
             return (Event.LATE if step < 0.0 else Event.REPEATED), 0
         missing = 0
-        if len(self._steps) == _STEPS and step < _LONGEST_GAP:
-            missing = max(0, round(step / float(np.median(self._steps))) - 1)
+        if (usual := self.usual_step) and step < _LONGEST_GAP:
+            missing = max(0, round(step / usual) - 1)
         self._steps.append(step)
         return None, missing
 
@@ -188,6 +194,11 @@ class Crowd:
             presence.seen_by_lead = now
         event, missing = presence.stamps.arrive(time)
         self._tally.events[Event.MISSING] += missing
+        if (step := presence.stamps.usual_step) > LONGEST_STEP:
+            note = (
+                f"by their stamps, frames are {step:.4g} s apart: send times in seconds"
+            )
+            self._tally.notes.setdefault(Reason.TIME, (note,))
         if event is not None:
             self._tally.events[event] += 1
         if event in (Event.REPEATED, Event.LATE):

@@ -9,8 +9,6 @@ from tyro.conf import UseAppendAction, arg
 
 from kinefilter.characters import InputError, TrackingName
 
-MAX_BODIES = 6  # as many people as a Kinect v2 tracks
-
 
 @dataclass(frozen=True)
 class AccessConfig:
@@ -66,7 +64,7 @@ class LiveConfig:
     """Mass of every person [kg]; default: estimated from the height."""
     floor: float | None = None
     """Height of the floor in the sensor frame [m]; default: under the feet."""
-    bodies: int = MAX_BODIES
+    bodies: int = 6  # as many as a Kinect v2 tracks
     """How many people are followed at once, from 1 to 32."""
 
     def __post_init__(self) -> None:

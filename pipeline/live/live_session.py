@@ -126,7 +126,7 @@ class Session:
     def receive(self, message: bytes | str, number: int = 0) -> None:
         """Take in a message from a sensor; count it if it is not a frame."""
         try:
-            frame = parse_frame(message, self._skeleton, self._config.bodies)
+            frame = parse_frame(message, self._skeleton)
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             if error.note:

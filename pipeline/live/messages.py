@@ -44,13 +44,12 @@ from kinefilter.characters.motion import LATEST_TIME_STAMP
 from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.formats.recording import mark_missing
 
-from .live_config import MAX_BODIES
-
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
 
 MAX_MESSAGE = 2**15  # bytes: fits a datagram, and twice six bodies with all digits
 _MAX_DISTANCE = 100.0  # m: no sensor that tracks people sees that far
+_MOST_BODIES = 32  # in a frame, however many of them are followed
 _MAX_ID_LENGTH = 32
 _MAX_ID = 2.0**53  # a float holds whole numbers exactly up to here
 _STATES = {float(state) for state in State}
@@ -120,9 +119,7 @@ def as_arrays(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, C
     return time, positions, state
 
 
-def parse_frame(
-    message: str | bytes, skeleton: Skeleton, max_bodies: int = MAX_BODIES
-) -> Frame:
+def parse_frame(message: str | bytes, skeleton: Skeleton) -> Frame:
     """Return the frame in a message; raise MalformedError if it is not a frame."""
     if len(message) > MAX_MESSAGE:
         raise MalformedError(Reason.TOO_LONG)
@@ -143,7 +140,7 @@ def parse_frame(
     time = data["time"]
     if type(time) is not float or not abs(time) < LATEST_TIME_STAMP:
         raise MalformedError(Reason.TIME)
-    if len(data["bodies"]) > max_bodies:
+    if len(data["bodies"]) > _MOST_BODIES:
         raise MalformedError(Reason.BODIES)
     bodies = tuple(_parse_body(body, skeleton) for body in data["bodies"])
     if len({body.id for body in bodies}) < len(bodies):

@@ -71,7 +71,7 @@ class Tally:
         self.malformed: Counter[Reason] = Counter()
         self.latency = Latency()  # from the arrival of a frame to sending its pose
         # What the user should know: by person's slot, -1, -2, ... for the sensors, or
-        # the reason of the first malformed frame.
+        # the reason of the first malformed frame, or of stamps that are no seconds.
         self.notes: dict[int | Reason, tuple[str, ...]] = {}
 
     def all_notes(self) -> list[str]:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import as_numbers
-from kinefilter.pipeline.formats.files import new_text
+from kinefilter.pipeline.formats.files import check_file, new_text
 
 from .alignment import Alignment
 from .lag import Clock
@@ -46,6 +46,7 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
     """Read a calibration, none without a path; raise InputError if it is invalid."""
     if path is None:
         return ()
+    check_file(path)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         if found["file"] != _KIND:

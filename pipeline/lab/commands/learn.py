@@ -105,7 +105,7 @@ class Pair:
                 out.print(f"{p.pair.clip}: {note}")
         for reason in refused:
             err.print(f"left out: {reason}")
-        out.print(f"wrote {self.out}: {len(pairings)} clips")
+        out.print(f"wrote {self.out}: {counted(len(pairings), 'clip')}")
         return int(bool(refused))
 
 
