@@ -192,12 +192,13 @@ def _of_calibration(path: Path) -> dict[str, Any]:
     from .merge import read_calibration
 
     places = [found.placed for found in read_calibration(path)]
+    angles = [np.degrees(place.turn.magnitude()) for place in places]
     sensors = json.loads(path.read_text(encoding="utf-8"))["sensors"]
     return {
         "kind": "calibration",
         "format": "json",
         "sensors": [sensor.get("source") for sensor in sensors],
-        "turned_degrees": [round(np.degrees(p.turn.magnitude()), 1) for p in places],
+        "turned_degrees": [round(float(angle), 1) for angle in angles],
         "away_m": [round(float(np.linalg.norm(p.shift)), 2) for p in places],
     }
 

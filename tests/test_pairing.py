@@ -149,6 +149,7 @@ def test_gaps_leaps_and_wrong_labels_are_left_out_and_told() -> None:
     points[100:200, joint("KneeLeft")] = np.nan  # 1 s without the marker
     points[300:310, joint("WristLeft")] += 400.0  # a marker leaps
     points[:, joint("FootRight")] = points[:, joint("Head")]  # and one is mistaken
+    points[:, joint("ElbowRight")] = np.nan  # one was never there
     seen = take.positions.copy()
     seen[120:140] += [0.9, 0.0, 0.0]  # the Kinect follows somebody else
     pairing = one(replace(take, positions=seen), replace(mocap, positions=points))
@@ -162,6 +163,7 @@ def test_gaps_leaps_and_wrong_labels_are_left_out_and_told() -> None:
     assert "20 frames are left out" in notes
     assert missing[:, joint("FootRight")].all()
     assert "FootRight is left out" in notes
+    assert "ElbowRight: not in both recordings" in notes
     assert missing[:, joint("WristRight")].mean() < 0.12
 
 

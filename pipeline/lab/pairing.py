@@ -170,6 +170,11 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
             f"{both}: have {len(common)} joints of the limbs in common, expected "
             f"{_FEWEST_JOINTS} or more"
         )
+    if absent := [name for name in LIMBS if not known[skeleton.index(name)]]:
+        notes.append(
+            f"{', '.join(absent)}: not in both recordings, so left out; are markers "
+            "missing, or labeled otherwise?"
+        )
     mocap_track = Track(time, positions[:, common])
     tracks = Track(take.time, take.positions[:, common]), mocap_track
     length = min(float(track.time[-1] - track.time[0]) for track in tracks)

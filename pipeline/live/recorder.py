@@ -76,6 +76,8 @@ class Recorder:
                         part.frames += len(rows)
                     except OSError as error:
                         self._fail(part.path, error)
+                if self.failure is not None:
+                    self._tally.events[Event.UNRECORDED] += len(rows)
 
     def finish(self) -> list[Path]:
         """Write the rest after any flush in progress, rename the files, return them."""
