@@ -167,22 +167,28 @@ def test_a_lift_rises_and_sinks_at_an_even_speed() -> None:
     stands = np.ones(100, dtype=np.bool_)
     stands[20:80] = False
     toe[20:80, 2] = np.linspace(0.0, 0.6, 60)
-    lift = feet._lift(time, toe, 0.0, stands)[:, 0]
+    lift = feet._lift(time, toe, 0.0, stands)
     assert not lift[stands].any()
     assert lift.max() == pytest.approx(feet._CLEARANCE)
     steepest = feet._CLEARANCE / feet._LIFT_TIME
     assert np.abs(np.diff(lift)).max() * 100.0 == pytest.approx(steepest)
 
 
-def test_a_foot_that_was_dragged_is_lifted_on_its_way_and_only_there() -> None:
+@pytest.mark.parametrize("raised", [0.0, 0.08])
+def test_a_foot_that_was_dragged_is_lifted_on_its_way_and_only_there(
+    raised: float,
+) -> None:
+    """The heel too, where only the toes are up."""
     time, path = stamps(120), standing(120)
     way = 0.5 * np.clip((time - 1.5) / 1.0, 0.0, 1.0)
     path[:, [ANKLES[0], TOES[0]], 2] += way[:, None]
+    path[50:71, TOES[0], 1] += raised
     stands = np.ones((120, 2), dtype=np.bool_)
     stands[45:75, 0] = False
     planted, _ = plant_feet(time, path, ones(path), stands, BODY)
     soles = planted[:, TOES, 1] - BODY.radii[TOES]
-    assert soles[55:66, 0].min() > 0.06
+    heels = planted[:, ANKLES[0], 1] - feet.flat_height(BODY, TOES[0])
+    assert min(soles[55:66, 0].min(), heels[55:66].min()) > 0.06
     assert soles.min() > -STILL
     np.testing.assert_allclose(soles[stands], 0.0, atol=STILL)
     np.testing.assert_allclose(planted[-1, TOES[0]], path[-1, TOES[0]], atol=STILL)

@@ -26,7 +26,12 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
-from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, planted_feet
+from kinefilter.pipeline.target.feet import (
+    ankles_and_toes,
+    find_stance,
+    flat_height,
+    planted_feet,
+)
 from kinefilter.pipeline.target.target_stages import (
     Bones,
     Feet,
@@ -97,6 +102,23 @@ def test_the_soles_of_standing_feet_hardly_move_once_bones_are_in_place(
         assert steps.mean() < 1e-3
         soles = posed[target.stands[:, foot], toe, 1] - BODY.radii[toe]
         assert np.abs(soles).mean() < 2e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_heels_do_not_drag_while_legs_get_longer(seed: int) -> None:
+    """A sensor that sees no steps, and hips 12 cm too low, shows legs too short."""
+    act = perform("walk", BODY, seed=seed)
+    path, skeleton = noisy(act), BODY.skeleton
+    legs = [j for hip in skeleton.hips for j in skeleton.descendants(hip)]
+    path[:, np.setdiff1d(np.arange(len(skeleton)), legs), 1] -= 0.12
+    path[:, ANKLES + TOES, 1] = [0.08, 0.08, 0.03, 0.03]
+    target = placed(act.time, path)
+    heels = target.posed[1:, ANKLES]
+    speed = np.linalg.norm(
+        np.diff(target.posed[:, ANKLES][..., [0, 2]], axis=0), axis=2
+    )
+    down = heels[..., 1] < flat_height(BODY, TOES[0]) + 0.01
+    assert np.mean(down & (speed > 0.01)) < 0.01
 
 
 def test_contacts_say_heel_and_toes_of_both_feet(kick: Motion) -> None:

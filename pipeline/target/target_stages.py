@@ -251,7 +251,8 @@ class Feet(Stage):
         draft.stands = feet.planted_feet(draft.contacts)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
         for part in feet.ankles_and_toes(draft.skeleton):
-            weights[:, part] = np.where(stands, feet.PLANTED, weights[:, part])
+            steps = np.maximum(weights[:, part], feet.STEPPING)
+            weights[:, part] = np.where(stands, feet.PLANTED, steps)
         draft.bone_weights = weights
 
 
