@@ -246,10 +246,20 @@ def edited(take: Take, edits: Sequence[Edit], since: Array) -> Take:
 
 
 def check_edits(take: Take, edits: Sequence[Edit]) -> None:
-    """Raise an InputError if a take lacks an edit's joints or time, or none is left."""
-    since = take.time - take.time[0]
+    """Raise an InputError if a take lacks an edit's joints or time, or none is left.
+
+    Nor may a joint be pinned twice in a frame.
+    """
+    since, pinned = take.time - take.time[0], set[tuple[str, int]]()
     for edit in edits:
-        _check(edit, edit.frames(since), take)
+        frames = edit.frames(since)
+        _check(edit, frames, take)
+        if edit.kind == "pin":
+            pin = edit.joints[0], int(frames.argmax())
+            if pin in pinned:
+                where = edit.source or f"{take.source}: an edit"
+                raise InputError(f"{where}: {pin[0]} is pinned there already; keep one")
+            pinned.add(pin)
     if not np.isfinite(edited(take, edits, since).positions).any():
         raise InputError(f"{take.source}: the edits distrust every joint; leave some")
 

@@ -200,11 +200,12 @@ def test_how_far_a_joint_is_from_a_pin_out_of_reach_is_told(
     x, y, z = before.clip.positions[frame, ARM[0]].tolist()
     pin = Edit("pin", 2.5, 2.5, ("ElbowRight",), position=(x, y + 1.9, z))
     found = Cleaner().clean(pair.take, edits=[pin], before=unedited)
-    short = y + 1.9 - found.clip.positions[frame, ARM[0], 1]
-    assert 1.0 < short < 1.9
+    assert 1.0 < y + 1.9 - found.clip.positions[frame, ARM[0], 1] < 1.9
     assert found.notes[0].startswith("edited: ElbowRight pinned at 2.5 s: 1.")
     assert found.notes[0].endswith(" m short; pin it where the body reaches")
     far = replace(pin, position=(x, y + 50.0, z), source="a.toml: pin 1")
+    with pytest.raises(InputError, match=r"a.toml: pin 1: .* pinned there already"):
+        Cleaner().clean(pair.take, edits=[pin, far], before=unedited)
     with pytest.raises(InputError, match=r"a.toml: pin 1: ElbowRight is 50\.\d m away"):
         Cleaner().clean(pair.take, edits=[far], before=unedited)
 
