@@ -97,6 +97,10 @@ def test_a_trunk_that_is_seen_stays_as_it_is(motion: str) -> None:
     np.testing.assert_array_equal(steadied(take, ()).positions, take.positions)
     missing = replace(take, state=np.zeros_like(take.state))
     assert np.isnan(steadied(missing, ()).positions).all()
+    together = take.positions.copy()
+    together[:, take.skeleton.sides("Hip")] = together[:, :1]
+    found = steadied(replace(take, positions=together), ()).positions
+    np.testing.assert_allclose(found, together, atol=1e-3)  # and nothing is divided
 
 
 @recorded

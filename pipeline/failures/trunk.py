@@ -36,7 +36,7 @@ def steadied(take: Take, changes: Sequence[int]) -> Take:
     known = np.isfinite(lengths)
     if not known.any(axis=0).all():
         return take
-    usual = np.nanmedian(lengths, axis=0)
+    usual = np.maximum(np.nanmedian(lengths, axis=0), 1e-3)
     trunk = take.positions[:, skeleton.girdle] - take.positions[:, skeleton.root]
     upright = trunk[:, 1] > _UPRIGHT * np.linalg.norm(trunk, axis=1)
     level = lines[..., 0] - 1j * lines[..., 2]  # its angle is the yaw
