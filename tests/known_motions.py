@@ -5,19 +5,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, Motion, Skeleton, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Motion,
+    Skeleton,
+    State,
+    Take,
+    standard_body,
+)
 from kinefilter.pipeline.physics import Performance, PhysicsResult, pull_through
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.retarget import find_yaw
+from kinefilter.scenes.library import perform, random_body
 
 __all__ = [
     "BODY",
     "FEET",
     "Array",
     "noisy",
+    "performed",
     "polynomial",
     "pulled_through",
     "stamps",
     "standing",
+    "yaw_of",
 ]
 
 Array = NDArray[np.float64]
@@ -51,3 +63,16 @@ def pulled_through(
 ) -> PhysicsResult:
     """Pull a character through a motion: time stamps, positions and rotations."""
     return pull_through([character], [Performance(*targets, stands=stands)])[0]
+
+
+def performed(motion: str, skeleton: Skeleton = KINECT_V2, seed: int = 0) -> Take:
+    """Return a take of a scripted motion by a perfect sensor."""
+    body = random_body(skeleton, np.random.default_rng(seed))
+    act = perform(motion, body, seed=seed)
+    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    return Take(act.time, act.positions, state, skeleton, motion)
+
+
+def yaw_of(take: Take) -> Array:
+    """Return the heading of the trunk [rad], (T,)."""
+    return find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)

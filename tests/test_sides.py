@@ -6,35 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_motions import performed, yaw_of
 from numpy.typing import NDArray
 from real_data import DATA, recorded
 from sides_figures import figures_of
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V2, Skeleton, State, Take
+from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
 from kinefilter.pipeline.lab.view_sessions import find_sessions
-from kinefilter.retarget import find_yaw
-from kinefilter.scenes.library import perform, random_body
 
 Array = NDArray[np.float64]
 
 
-def _walk(skeleton: Skeleton = KINECT_V2, motion: str = "walk", seed: int = 0) -> Take:
-    body = random_body(skeleton, np.random.default_rng(seed))
-    act = perform(motion, body, seed=seed)
-    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    return Take(act.time, act.positions, state, skeleton, motion)
-
-
-def _yaw(take: Take) -> Array:
-    return find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
-
-
 @every_skeleton
 def test_who_walks_forward_with_sides_swapped_is_found(skeleton: Skeleton) -> None:
-    take = _walk(skeleton)
+    take = performed("walk", skeleton)
     assert not swapped_frames(take).any()
     assert swapped_frames(take.swapped()).all()
     part = slice(40, 90)
@@ -48,7 +36,7 @@ def test_who_walks_forward_with_sides_swapped_is_found(skeleton: Skeleton) -> No
 def test_legs_change_sides_before_or_after_the_arms(
     skeleton: Skeleton, early: bool
 ) -> None:
-    take = _walk(skeleton, seed=2)
+    take = performed("walk", skeleton, seed=2)
     legs = [j for hip in skeleton.hips for j in skeleton.descendants(hip) if j != hip]
     swapped = np.zeros((len(take), 2), dtype=bool)
     swapped[60:, 0] = True
@@ -66,14 +54,14 @@ def test_legs_change_sides_before_or_after_the_arms(
 @pytest.mark.parametrize("motion", ["walk", "run"])
 @pytest.mark.parametrize("seed", range(3))
 def test_who_walks_backward_is_left_alone(motion: str, seed: int) -> None:
-    take = _walk(motion=motion, seed=seed)
+    take = performed(motion, seed=seed)
     assert not swapped_frames(replace(take, positions=take.positions[::-1])).any()
 
 
 @pytest.mark.parametrize("limb", ["left-arm", "arms", "right-leg", "legs"])
 @pytest.mark.parametrize("begin", [0, 60])
 def test_hidden_limbs_leave_enough_to_see(limb: str, begin: int) -> None:
-    take = _walk()
+    take = performed("walk")
     joints = [
         KINECT_V2.index(name) for name in HIDDEN[limb] if name in KINECT_V2.joints
     ]
@@ -85,10 +73,10 @@ def test_hidden_limbs_leave_enough_to_see(limb: str, begin: int) -> None:
 
 
 def test_toes_that_point_at_the_sensor_are_turned_forward() -> None:
-    take = _walk()
+    take = performed("walk")
     feet = list(KINECT_V2.sides("Foot"))
     ankles = take.positions[:, [KINECT_V2.parents[foot] for foot in feet]]
-    yaw = _yaw(take)
+    yaw = yaw_of(take)
     forward = np.stack([np.sin(yaw), np.zeros(len(yaw)), np.cos(yaw)], axis=1)
     true, seen = take.positions.copy(), take.positions.copy()
     true[:, feet] = ankles + 0.1 * forward[:, None] + [0.02, -0.06, 0.0]

@@ -6,31 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_motions import performed, yaw_of
 from numpy.typing import NDArray
 from real_data import DATA, recorded
 from skeletons import every_skeleton
 
 from kinefilter import clean, read_take
-from kinefilter.characters import KINECT_V2, Skeleton, State, Take
+from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.rotations import about_x, rotate, wrapped
 from kinefilter.pipeline.failures import find_failures, repaired
 from kinefilter.pipeline.failures.sides import swapped_back
 from kinefilter.pipeline.failures.trunk import steadied
-from kinefilter.retarget import HeadingFrame, find_yaw
-from kinefilter.scenes.library import MOTIONS, perform, random_body
+from kinefilter.retarget import HeadingFrame
+from kinefilter.scenes.library import MOTIONS
 
 Array = NDArray[np.float64]
-
-
-def _act(motion: str, skeleton: Skeleton = KINECT_V2, seed: int = 0) -> Take:
-    body = random_body(skeleton, np.random.default_rng(seed))
-    act = perform(motion, body, seed=seed)
-    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    return Take(act.time, act.positions, state, skeleton, motion)
-
-
-def _yaw(take: Take) -> Array:
-    return find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
 
 
 def _yaw_of(positions: Array, skeleton: Skeleton, part: str) -> Array:
@@ -48,7 +38,7 @@ def test_the_trunk_turns_evenly_where_its_heading_jumps(
 
     The sensor saw how the person leaned, so spine and head stay where they are.
     """
-    take, skeleton = _act("stand_idle"), KINECT_V2
+    take, skeleton = performed("stand_idle"), KINECT_V2
     jump, change = np.radians(140.0), 60
     frames = np.arange(len(take)) >= change
     yaw = np.where(frames, jump, 0.0)
@@ -61,7 +51,7 @@ def test_the_trunk_turns_evenly_where_its_heading_jumps(
     mended = swapped_back(seen.swapped(frames), np.stack([frames, frames], 1))
     middle = skeleton.mirror == np.arange(len(skeleton))
     np.testing.assert_allclose(mended.positions[:, middle], turned[:, middle])
-    away = np.unwrap(_yaw(mended)) - np.unwrap(_yaw(take))
+    away = np.unwrap(yaw_of(mended)) - np.unwrap(yaw_of(take))
     around = np.abs(take.time - take.time[change]) < 0.3
     speed = np.diff(away)[around[1:]] / np.diff(take.time)[around[1:]]
     np.testing.assert_allclose(speed, jump / 0.7, rtol=0.15 if lean == 0.0 else 0.4)
@@ -76,7 +66,7 @@ def test_the_trunk_turns_evenly_where_its_heading_jumps(
 def test_a_line_that_shows_nothing_turns_with_the_trunk(
     skeleton: Skeleton, part: str, wrong: str
 ) -> None:
-    take = _act("walk", skeleton)
+    take = performed("walk", skeleton)
     ends, some = np.array(skeleton.sides(part)), slice(40, 55)
     seen = take.positions.copy()
     middle = seen[some][:, ends].mean(axis=1, keepdims=True)
@@ -93,7 +83,7 @@ def test_a_line_that_shows_nothing_turns_with_the_trunk(
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_trunk_that_is_seen_stays_as_it_is(motion: str) -> None:
-    take = _act(motion)
+    take = performed(motion)
     np.testing.assert_array_equal(steadied(take, ()).positions, take.positions)
     missing = replace(take, state=np.zeros_like(take.state))
     assert np.isnan(steadied(missing, ()).positions).all()
