@@ -7,7 +7,7 @@ entries; ``evaluate`` replaces one of them and measures the final result.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,6 +45,7 @@ from .stages import (
     MeasureBody,
     MeasureCorrectedBody,
     Score,
+    SharedStage,
     Stage,
     Standardize,
 )
@@ -53,6 +54,7 @@ from .target.floor import to_world
 from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
 from .uncertainty import uncertainty
 
+_Passing = tuple[Take, Any, Draft]  # recorded frames, index of all, working state
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion
 _OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
 
@@ -266,28 +268,35 @@ class Cleaner:
 
     def clean_together(
         self, takes: Sequence[Take], *, progress: Progress = silent
-    ) -> list[CleanResult | InputError]:
-        """Clean the takes of people of one recording, who share a simulated world.
+    ) -> Iterator[CleanResult | InputError]:
+        """Clean the takes of people of one recording, and yield the results in order.
 
-        They push each other there, and the props of the scene. In place of the result
-        of a take that cannot be cleaned is the error; the others go on without it.
+        They share the sensor's tilt and, with a scene, a simulated world, where they
+        push each other and the props. In place of the result of a take that cannot be
+        cleaned is the error; the others go on without it.
         """
-        physics = [stage for stage in self.stages if isinstance(stage, Physics)]
-        before = self.without(*(stage.name for stage in physics))
-        found: list[tuple[Take, Any, Draft] | InputError] = []
+        shared = [isinstance(s, SharedStage) and s.shared for s in self.stages]
+        count = len(shared) - shared[::-1].index(True) if any(shared) else 0
+        found = [self._started(take) for take in takes]
+        for stage in self.stages[:count]:
+            present = [one for one in found if not isinstance(one, InputError)]
+            if isinstance(stage, SharedStage) and present:
+                stage.together([draft for _, _, draft in present], progress)
+            else:
+                found = [_passed(one, (stage,), progress) for one in found]
         for take in takes:
-            try:
-                recorded, frames = self._distinct(take)
-                found.append((recorded, frames, before.whole(recorded, progress)))
-            except InputError as error:
-                found.append(error)
-        drafts = [one[2] for one in found if not isinstance(one, InputError)]
-        for stage in physics if drafts else ():
-            stage.together(drafts, progress)
-        return [
-            one if isinstance(one, InputError) else self._result(take, *one, ())
-            for take, one in zip(takes, found, strict=True)
-        ]
+            one = _passed(found.pop(0), self.stages[count:], progress)
+            if isinstance(one, InputError):
+                yield one
+            else:
+                yield self._result(take, *one, ())
+
+    def _started(self, take: Take) -> _Passing | InputError:
+        try:
+            recorded, frames = self._distinct(take)
+        except InputError as error:
+            return error
+        return recorded, frames, Draft.of(recorded)
 
     def _result(
         self,
@@ -351,6 +360,19 @@ class Cleaner:
             ),
             tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
         )
+
+
+def _passed(
+    one: _Passing | InputError, stages: Sequence[Stage], progress: Progress
+) -> _Passing | InputError:
+    """Return a person after further stages, or the error."""
+    if not isinstance(one, InputError):
+        try:
+            for stage in stages:
+                stage.run(one[2], progress)
+        except InputError as error:
+            return error
+    return one
 
 
 def clean(

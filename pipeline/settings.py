@@ -99,14 +99,13 @@ class Settings:
         """Yield each person's number, and the result or the error of cleaning them.
 
         Of several sensors' recordings, the merged take is yielded too. Several people
-        in a ``scene`` share it, and push each other. ``cleaner`` is one with the same
-        config, if there is one.
+        share the tilt, and a ``scene``. ``cleaner`` is one with the same config.
         """
         from .cleaner import Cleaner
 
         first, config = recordings[0], self.config
         cleaner = cleaner or Cleaner(config)
-        if len(numbers) > 1 and config.scene is not None:
+        if len(numbers) > 1:
             takes = [first.take(number) for number in numbers]
             found = cleaner.clean_together(takes, progress=progress)
             yield from zip(numbers, found, repeat(None))

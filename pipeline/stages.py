@@ -5,7 +5,7 @@ live motion, ``step`` sees a frame and those before it; ``whole`` may look ahead
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
@@ -85,6 +85,22 @@ class Stage(ABC):
         for part in parts:
             self.whole(part, advance)
         draft.join(parts)
+
+
+class SharedStage(Stage):
+    """A stage that people of one recording pass together, as they share the sensor."""
+
+    in_parts = False
+    shared = True
+    """False if the config leaves nothing that people share."""
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Process the take of somebody who is alone."""
+        self.together([draft], progress)
+
+    @abstractmethod
+    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
+        """Process the takes of all people of a recording."""
 
 
 class Failures(Stage):

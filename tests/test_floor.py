@@ -13,6 +13,7 @@ from skeletons import every_skeleton
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
+    Body,
     Skeleton,
     positions_from_rotations,
     standard_body,
@@ -20,7 +21,7 @@ from kinefilter.characters import (
 from kinefilter.characters.rotations import about_y, normalize, rotate
 from kinefilter.pipeline.metrics import lowest_point
 from kinefilter.pipeline.target.feet import find_stance
-from kinefilter.pipeline.target.floor import floor_height, put_on_floor
+from kinefilter.pipeline.target.floor import Stood, floor_heights, put_on_floor
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -36,6 +37,12 @@ def planted_feet(skeleton: Skeleton) -> list[int]:
         for part in ("Ankle", "Foot")
         for side in ("Left", "Right")
     ]
+
+
+def floor_height(
+    positions: Array, confidence: Array, stands: NDArray[np.bool_], body: Body
+) -> float:
+    return floor_heights([Stood(positions, confidence, stands, body)])[0]
 
 
 @given(
@@ -173,3 +180,19 @@ def test_who_stands_over_the_floor_stays_and_landing_twice_is_landing_once() -> 
     np.testing.assert_array_equal(put_on_floor(high, body), high)
     once = put_on_floor(standing(3) - [0.0, 0.4, 0.0], body)
     np.testing.assert_array_equal(put_on_floor(once, body), once)
+
+
+def test_whose_feet_nobody_saw_stands_on_the_floor_of_the_others() -> None:
+    body, positions, confidence = (
+        standard_body(KINECT_V1),
+        standing(20),
+        np.ones((20, 20)),
+    )
+    hidden = confidence.copy()
+    hidden[:, planted_feet(KINECT_V1)] = 0.0
+    people = [
+        Stood(positions + np.array([0.0, 0.1, 0.0]), confidence, ~no_stance(20), body),
+        Stood(positions + np.array([0.0, 0.6, 0.0]), hidden, no_stance(20), body),
+        Stood(positions + np.array([0.0, 0.3, 0.0]), confidence, ~no_stance(20), body),
+    ]
+    assert floor_heights(people) == pytest.approx([0.1, 0.2, 0.3])

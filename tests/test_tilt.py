@@ -12,7 +12,7 @@ from real_data import TAKES, recorded
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.target.feet import find_stance
-from kinefilter.pipeline.target.floor import leveled, sensor_tilt
+from kinefilter.pipeline.target.floor import Stood, leveled, sensor_tilt
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
@@ -33,7 +33,7 @@ def test_the_tilt_is_found_under_someone_who_walks(tilt: float) -> None:
     time, positions = walking(tilt, 0.01)
     confidence = np.ones(positions.shape[:2])
     stands = find_stance(time, positions, confidence, KINECT_V1)
-    found = np.degrees(sensor_tilt(positions, confidence, stands, BODY))
+    found = np.degrees(sensor_tilt([Stood(positions, confidence, stands, BODY)]))
     assert found == pytest.approx(tilt, abs=1.0)
 
 
@@ -41,7 +41,22 @@ def test_a_level_sensor_stays_as_it_is() -> None:
     time, positions = walking(0.0, 0.01)
     confidence = np.ones(positions.shape[:2])
     stands = find_stance(time, positions, confidence, KINECT_V1)
-    assert abs(np.degrees(sensor_tilt(positions, confidence, stands, BODY))) < 0.5
+    person = Stood(positions, confidence, stands, BODY)
+    assert abs(np.degrees(sensor_tilt([person]))) < 0.5
+
+
+@pytest.mark.parametrize("raised", [0.0, 0.15])
+def test_people_of_a_recording_share_the_tilt(raised: float) -> None:
+    """The sensor may have misplaced the feet of one by a height of their own."""
+    time, positions = walking(-5.0, 0.01)
+    confidence = np.ones(positions.shape[:2])
+    stands = find_stance(time, positions, confidence, KINECT_V1)
+    walker = Stood(positions, confidence, stands, BODY)
+    still = np.repeat(positions[:1] + np.array([0.5, raised, 0.0]), len(time), axis=0)
+    bystander = Stood(still, confidence, ~np.zeros_like(stands), BODY)
+    assert sensor_tilt([bystander]) == 0.0
+    for people in ([walker, bystander], [bystander, walker]):
+        assert np.degrees(sensor_tilt(people)) == pytest.approx(-5.0, abs=1.0)
 
 
 def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
@@ -59,7 +74,7 @@ def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
 def _tilt_of(positions: Array, confidence: float = 1.0) -> float:
     known = np.full(positions.shape[:2], confidence)
     always = np.ones((len(positions), 2), dtype=bool)
-    return float(np.degrees(sensor_tilt(positions, known, always, BODY)))
+    return float(np.degrees(sensor_tilt([Stood(positions, known, always, BODY)])))
 
 
 @pytest.mark.parametrize("tilt", [-12.0, -6.0, 5.0, 9.0])

@@ -26,7 +26,7 @@ def _beside(take: Take, across: float) -> Take:
 
 
 def _together(*takes: Take) -> list[CleanResult]:
-    found = Cleaner(CONFIG).clean_together(takes)
+    found = [*Cleaner(CONFIG).clean_together(takes)]
     assert not any(isinstance(result, InputError) for result in found)
     return [result for result in found if isinstance(result, CleanResult)]
 
@@ -69,6 +69,15 @@ def test_who_is_out_of_view_touches_nobody(take: Take, alone: CleanResult) -> No
 
 def test_a_take_that_cannot_be_cleaned_leaves_the_others(take: Take) -> None:
     nothing = replace(take, positions=np.full_like(take.positions, np.nan))
-    found = Cleaner(CONFIG).clean_together([nothing, take])
+    found = [*Cleaner(CONFIG).clean_together([nothing, take])]
     assert isinstance(found[0], InputError)
     assert isinstance(found[1], CleanResult)
+
+
+def test_without_a_scene_they_share_no_world(take: Take) -> None:
+    config = CleanConfig("none")
+    found = [*Cleaner(config).clean_together([take, _beside(take, 0.0)])]
+    alone = clean(take, config)
+    for result in found:
+        assert isinstance(result, CleanResult)
+        np.testing.assert_array_equal(result.clip.positions, alone.clip.positions)

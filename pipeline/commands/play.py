@@ -11,10 +11,10 @@ from tyro.conf import Positional, UseAppendAction, arg
 from kinefilter.characters import Clip, InputError, TrackingName
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
-from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.clips import check_writable
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.look.drawing import read_finite_clip
+from kinefilter.pipeline.settings import Settings
 
 from .terminal import keep, out, progress_bars
 
@@ -85,13 +85,15 @@ class Play:
         return 0
 
     def _motions(self, path: Path) -> list[Clip]:
-        from kinefilter.pipeline.cleaner import clean
-
         if path.suffix.lower() in WHOLE_CLIPS:
             return [read_finite_clip(path)]
-        recording, clips = read_recording(path, format=self.format), []
-        for number in recording.numbers(self.body):
-            with progress_bars() as progress:
-                take, config = recording.take(number), CleanConfig(physics=False)
-                clips.append(clean(take, config, progress=progress).clip)
+        config, clips = CleanConfig(physics=False), []
+        settings = Settings(config, format=self.format, body=self.body)
+        read = [settings.read(path)]
+        with progress_bars() as progress:
+            cleaned = settings.clean(read, settings.people(read), progress=progress)
+            for _, result, _ in cleaned:
+                if isinstance(result, InputError):
+                    raise result
+                clips.append(result.clip)
         return clips

@@ -10,7 +10,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.stages import Stage
+from kinefilter.pipeline.stages import SharedStage
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 
@@ -20,16 +20,16 @@ from .pulled_character import PulledCharacter
 from .world import World
 
 
-class Physics(Stage):
+class Physics(SharedStage):
     """Pulls a simulated character through the motion with bounded forces."""
 
     name = "physics"
     continues = True
-    in_parts = False
 
     def __init__(self, config: CleanConfig, tracking: Tracking | None = None) -> None:
         self._scene, self._tracking = config.scene, tracking
-        self.local = config.scene is None  # props stay where the motion left them
+        self.shared = config.scene is not None
+        self.local = not self.shared  # props stay where the motion left them
         self._body: Body | None = None
 
     def start(self, body: Body) -> None:
@@ -56,10 +56,6 @@ class Physics(Stage):
         draft.positions = self.character.positions
         draft.rotations = self.character.rotations
         draft.external_force = self.character.external_force
-
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Pull the character through a take."""
-        self.together([draft], progress)
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
         """Pull the characters of people of one recording through it in one world.

@@ -4,6 +4,9 @@ Joint positions [m] have y up and shape (T, J, 3); confidence has shape (T, J);
 ``stands`` says whether each foot is planted, shape (T, 2), left and right.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from kinefilter.characters import Body, Clip, Skeleton, Take
@@ -32,72 +35,107 @@ _STANDING = 10.0  # percentile of the lower soles that is the floor: a few sink 
 _DEEPEST = 0.01  # m that contact lets soles sink into the floor in a good take
 
 
-def floor_height(
-    positions: Array, confidence: Array, stands: Flags, body: Body
-) -> float:
-    """Return the height [m] of the floor under a take.
+class Stood(NamedTuple):
+    """Where a person stood: joints and planted feet, in the frame of the sensor."""
+
+    positions: Array
+    confidence: Array
+    stands: Flags
+    body: Body
+
+    def places(self) -> Array:
+        """Return the median place [m] of each planted foot while it stood, (N, 3)."""
+        places = []
+        for foot, ankle in enumerate(ankles_and_toes(self.body.skeleton)[0]):
+            for stance in runs(self.stands[:, foot]):
+                sure = self.confidence[stance, ankle] >= 0.5
+                if sure.any():
+                    seen = self.positions[stance, ankle][sure]
+                    places.append(np.median(seen, axis=0))
+        return np.reshape(places, (-1, 3))
+
+
+def floor_heights(people: Sequence[Stood]) -> list[float]:
+    """Return the height [m] of the floor under each person of a recording.
 
     This is the median height of the ankles of planted feet, less their height at rest.
-    If none is planted, the lower foot of each frame counts, and the 10th percentile.
-    Only measured joints count; if no foot ever was, the body's lowest point does.
+    Those who never planted a foot stand on the floor of the others: their median. If
+    nobody did, the lower foot of each frame counts, and the 10th percentile. Only
+    measured joints count; if no foot ever was, the body's lowest point does.
     """
-    heights = positions[..., 1] - body.rest_positions[:, 1]
-    ankles, toes = ankles_and_toes(body.skeleton)
-    planted = heights[:, ankles][stands & (confidence[:, ankles] >= 0.5)]
+    planted = [_planted_height(person) for person in people]
+    known = [height for height in planted if height is not None]
+    if known:
+        return [float(np.median(known)) if h is None else h for h in planted]
+    return [_lowest(person) for person in people]
+
+
+def _planted_height(person: Stood) -> float | None:
+    ankles, _ = ankles_and_toes(person.body.skeleton)
+    heights = person.positions[:, ankles, 1] - person.body.rest_positions[ankles, 1]
+    planted = heights[person.stands & (person.confidence[:, ankles] >= 0.5)]
     planted = planted[~np.isnan(planted)]
-    if len(planted) > 0:
-        return float(np.median(planted))
-    heights, confidence = heights[:, ankles + toes], confidence[:, ankles + toes]
-    seen = np.where(confidence >= 0.5, heights, np.nan)
+    return float(np.median(planted)) if len(planted) else None
+
+
+def _lowest(person: Stood) -> float:
+    positions, confidence, _, body = person
+    ankles, toes = ankles_and_toes(body.skeleton)
+    feet = ankles + toes
+    heights = positions[:, feet, 1] - body.rest_positions[feet, 1]
+    seen = np.where(confidence[:, feet] >= 0.5, heights, np.nan)
     frames = ~np.isnan(seen).all(axis=1)
     if frames.any():
         return float(np.percentile(np.nanmin(seen[frames], axis=1), _STANDING))
     return float((positions[..., 1] - body.radii).min())
 
 
-def sensor_tilt(
-    positions: Array,
-    confidence: Array,
-    stands: Flags,
-    body: Body,
-    *,
-    by_kinect: bool = True,
-) -> float:
+def sensor_tilt(people: Sequence[Stood], *, by_kinect: bool = True) -> float:
     """Return the angle [rad] about x that levels the floor, 0 if it is unknown.
 
-    Positions are in the frame of the sensor, and most sensors look down a little. The
-    slope of a line through the heights of planted feet over their depths is the tilt,
-    if the feet span a meter or more of depth and the slope is three times its error.
-    If they span less, people who stand still before a Kinect show it: they would fall
-    if they were not upright.
+    Most sensors look down a little. The slope of a line through the heights of planted
+    feet over their depths is the tilt, if the feet span a meter or more of depth and
+    the slope is three times its error. Lines through the feet of several people of a
+    recording are parallel: the sensor misplaces each person's feet by a height of their
+    own. If the feet span less, people who stand still before a Kinect show the tilt:
+    they would fall if they were not upright.
     """
-    ankles, _ = ankles_and_toes(body.skeleton)
-    places = []
-    for foot, ankle in enumerate(ankles):
-        for stance in runs(stands[:, foot]):
-            seen = positions[stance, ankle][confidence[stance, ankle] >= 0.5]
-            if len(seen) > 0:
-                places.append(np.median(seen, axis=0))
-    _, height, depth = np.reshape(places, (-1, 3)).T
-    if len(places) < _LEAST_STANCES or np.ptp(depth) < _WALKED:
-        if not by_kinect:
-            return 0.0
-        return _tilt_by_balance(positions, confidence, stands, body)
+    each = [person.places() for person in people]
+    each = [places for places in each if len(places)]
+    # On the first person's line, so that one line fits all.
+    alike = [places - (places.mean(axis=0) - each[0].mean(axis=0)) for places in each]
+    _, height, depth = np.reshape([p for some in alike for p in some], (-1, 3)).T
+    free = len(depth) - 1 - len(each)
+    if len(depth) < _LEAST_STANCES or free < 1 or np.ptp(depth) < _WALKED:
+        return _tilt_by_balance(people) if by_kinect else 0.0
     from scipy.stats import linregress  # slow to import, and few takes need it
 
     line = linregress(depth, height)
-    significant = abs(line.slope) > _LEAST_RATIO * line.stderr
+    error = line.stderr * np.sqrt((len(depth) - 2) / free)
+    significant = abs(line.slope) > _LEAST_RATIO * error
     return float(np.arctan(line.slope)) if significant else 0.0
 
 
-def _tilt_by_balance(
-    positions: Array, confidence: Array, stands: Flags, body: Body
-) -> float:
+def _tilt_by_balance(people: Sequence[Stood]) -> float:
     """Return the angle [rad] about x that balances people who stand before the sensor.
 
     Their arms hang, and they face it. 0 if there are too few such frames, or if the
-    tilt may be the person's own lean.
+    tilt may be the people's own lean.
     """
+    tilts, aside = np.concatenate([_leans(person) for person in people], axis=1)
+    if len(tilts) < _LEAST_FRAMES:
+        return 0.0
+    least, tilt, most = np.percentile(tilts, [25.0, 50.0, 75.0])
+    sure = most - least < _STEADY and abs(np.median(aside)) < _ASIDE
+    return float(tilt) if sure and _LEAST_TILT < abs(tilt) < _MOST_TILT else 0.0
+
+
+def _leans(person: Stood) -> Array:
+    """Return angles [rad] that balance a person about x and z, shape (2, N).
+
+    N are the frames in which they stand upright on both feet and face the sensor.
+    """
+    positions, confidence, stands, body = person
     skeleton, masses = body.skeleton, joint_masses(body)
     (ankles, _), root = ankles_and_toes(skeleton), positions[:, skeleton.root]
     _, straight, down = posture_of(positions, skeleton)
@@ -106,15 +144,10 @@ def _tilt_by_balance(
     facing = np.cos(yaw - np.arctan2(-root[:, 0], -root[:, 2])) > _FACING
     seen = (confidence[:, ankles] >= 0.5).all(axis=1)
     frames = np.flatnonzero(stands.all(axis=1) & seen & facing & upright)
-    if len(frames) < _LEAST_FRAMES:
-        return 0.0
     center = np.einsum("j,tji->ti", masses / masses.sum(), positions[frames])
     across, up, deep = (center - positions[frames][:, ankles].mean(axis=1)).T
     tilts = _LEAN * np.cos(yaw[frames]) - np.arctan2(deep, up)
-    least, tilt, most = np.percentile(tilts, [25.0, 50.0, 75.0])
-    aside = np.median(np.arctan2(across, up))
-    sure = most - least < _STEADY and abs(aside) < _ASIDE
-    return float(tilt) if sure and _LEAST_TILT < abs(tilt) < _MOST_TILT else 0.0
+    return np.array([tilts, np.arctan2(across, up)])
 
 
 def leveled(positions: Array, tilt: float, roll: float = 0.0) -> Array:

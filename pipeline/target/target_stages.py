@@ -1,6 +1,7 @@
 """The stages that make the target: the motion before physics."""
 
 from collections import deque
+from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
@@ -17,7 +18,7 @@ from kinefilter.pipeline.correct.one_euro import OneEuro
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.stages import CHUNK, Stage
+from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
@@ -41,14 +42,13 @@ _FLOOR_NEAR = 0.5  # m: feet are off it by less, except in jumps. A guess.
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share per frame: feet sink rarely, lift often
 
 
-class Upright(Stage):
+class Upright(SharedStage):
     """Stage that turns frames upright if the sensor was upside down or tilted far.
 
     In live motion the turn is found from the last seconds, until it is settled.
     """
 
     name = "upright"
-    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.tilt is not None
@@ -73,11 +73,15 @@ class Upright(Stage):
                     self._turn = turn
         self._apply(draft)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Turn a take."""
-        if not self._given:
-            turn = draft.unedited.done.turn if draft.unedited else None
-            self._turn = turn or find_turn(draft.measured, draft.skeleton)
+    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
+        """Turn takes, by how most of the people stand."""
+        if self._given:
+            return
+        before, skeleton = drafts[0].unedited, drafts[0].skeleton
+        measured = [draft.measured for draft in drafts]
+        turn = before.done.turn if before else None
+        self._turn = turn or find_turn(np.concatenate(measured), skeleton)
+        for draft in drafts:
             self._apply(draft)
 
     def _apply(self, draft: Draft) -> None:
@@ -87,11 +91,10 @@ class Upright(Stage):
             draft.face = floor.leveled(draft.face, turn.tilt, turn.roll)
 
 
-class Level(Stage):
+class Level(SharedStage):
     """Stage that rotates the sensor's frame so that the floor is level."""
 
     name = "level"
-    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._tilt = None if config.tilt is None else float(np.radians(config.tilt))
@@ -101,18 +104,21 @@ class Level(Stage):
         draft.tilt = self._tilt or 0.0
         draft.positions = floor.leveled(draft.positions, draft.tilt)
 
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Find the planted feet and from them the tilt, and level the take."""
-        parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
-        stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
-        draft.stands = np.concatenate(stances)
-        known = draft.unedited.planted.tilt if draft.unedited else self._tilt
-        if known is None:
-            known = floor.sensor_tilt(*_feet(draft), by_kinect=draft.by_kinect)
-        draft.tilt = known
-        draft.positions = floor.leveled(draft.positions, draft.tilt)
-        if draft.face is not None:
-            draft.face = floor.leveled(draft.face, draft.tilt)
+    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
+        """Find the planted feet and from them the tilt, and level the takes."""
+        for draft in drafts:
+            parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
+            stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
+            draft.stands = np.concatenate(stances)
+        before, by_kinect = drafts[0].unedited, drafts[0].by_kinect
+        tilt = before.planted.tilt if before else self._tilt
+        if tilt is None:
+            tilt = floor.sensor_tilt([*map(_stood, drafts)], by_kinect=by_kinect)
+        for draft in drafts:
+            draft.tilt = tilt
+            draft.positions = floor.leveled(draft.positions, tilt)
+            if draft.face is not None:
+                draft.face = floor.leveled(draft.face, tilt)
 
 
 class Smooth(Stage):
@@ -141,11 +147,10 @@ class Smooth(Stage):
             draft.positions = smooth_by_speed(*paths, cutoff=self._cutoff)
 
 
-class Floor(Stage):
+class Floor(SharedStage):
     """Stage that puts the floor at y = 0."""
 
     name = "floor"
-    in_parts = False
 
     def __init__(self, config: CleanConfig) -> None:
         self._given = config.floor_height
@@ -184,11 +189,17 @@ class Floor(Stage):
         draft.floor = self._height or 0.0
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Find the floor under the feet of a take, unless its height was given."""
-        known = draft.unedited.planted.floor if draft.unedited else self._given
-        draft.floor = floor.floor_height(*_feet(draft)) if known is None else known
-        draft.positions = draft.positions - [0.0, draft.floor, 0.0]
+    def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
+        """Find the floor under everybody's feet, unless its height was given."""
+        before = drafts[0].unedited
+        known = before.planted.floor if before else self._given
+        if known is None:
+            heights = floor.floor_heights([*map(_stood, drafts)])
+        else:
+            heights = [known] * len(drafts)
+        for draft, height in zip(drafts, heights, strict=True):
+            draft.floor = height
+            draft.positions = draft.positions - [0.0, height, 0.0]
 
 
 class Feet(Stage):
@@ -333,8 +344,8 @@ def posed(draft: Draft) -> Array:
     return joints
 
 
-def _feet(draft: Draft) -> tuple[Array, Array, Flags, Body]:
-    return draft.positions, draft.confidence, draft.stands, draft.body
+def _stood(draft: Draft) -> floor.Stood:
+    return floor.Stood(draft.positions, draft.confidence, draft.stands, draft.body)
 
 
 def _smoothed_twist(time: Array, rotations: NDArray[Any]) -> NDArray[Any]:
