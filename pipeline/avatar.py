@@ -45,7 +45,9 @@ class Avatar:
     +x); without one, where the sensor sees them. The height of the ``floor`` in the
     sensor's frame [m] is by default tracked under the feet. ``tracking`` has the gains
     that pull the character, or is one of TRACKINGS by name: game yields to pushes and
-    gets up again. The ``corrector`` is by default that of ``clean``.
+    gets up again. The ``corrector`` is by default that of ``clean``, and ``measured``,
+    the person's segment lengths as the sensor shows them, those of the body;
+    ``Cleaner.measure`` finds both in a second of frames, which is more accurate.
     """
 
     def __init__(
@@ -56,8 +58,9 @@ class Avatar:
         floor: float | None = None,
         tracking: Tracking | TrackingName | None = None,
         corrector: Corrector | None = None,
+        measured: Body | None = None,
     ) -> None:
-        self.body = body
+        self.body, self.measured = body, measured or body
         room = str(scene) if isinstance(scene, Path) else scene
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         if isinstance(tracking, str):
@@ -67,7 +70,7 @@ class Avatar:
 
     def start(self) -> None:
         """Reset: the character appears where the next frame is."""
-        self.cleaner.start(self.body)
+        self.cleaner.start(self.body, self.measured)
         self.turn = Turn()
         physics = self.cleaner.stages[-1]
         assert isinstance(physics, Physics)

@@ -143,7 +143,7 @@ class Cleaner:
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()
         self._time: float | None = None
-        self._body: Body | None = None
+        self._bodies: list[Body] = []  # what each stage knows of the person
 
     def replaced(self, *stages: Stage) -> Cleaner:
         """Return a copy with stages replaced by name; raises InputError if unknown."""
@@ -169,15 +169,36 @@ class Cleaner:
             stages[name] = stage
         other = copy(self)
         other.stages = tuple(stage for stage in stages.values() if stage is not None)
-        other._time, other._body = None, None
+        other._time, other._bodies = None, []
         return other
 
-    def start(self, body: Body) -> None:
-        """Reset the state for a new motion of a body, to be passed to ``step``."""
+    def measure(self, take: Take) -> tuple[Body, Body]:
+        """Return the body of a person in a take, and the same as the sensor shows it.
+
+        Both are for ``start``; a second of frames is enough. Errors as for ``clean``.
+        """
+        draft, bodies = Draft.of(self._distinct(take)[0]), list[Body]()
+        for stage in self.until(MeasureCorrectedBody.name).stages:
+            stage.run(draft, silent)
+            if stage.name in (MeasureBody.name, MeasureCorrectedBody.name):
+                bodies.append(draft.body)
+        return bodies[-1], bodies[0]
+
+    def start(self, body: Body, measured: Body | None = None) -> None:
+        """Reset the state for a new motion of a body, to be passed to ``step``.
+
+        ``measured`` has the person's segment lengths as the sensor shows them, which
+        correction needs; by default they are those of ``body``.
+        """
         check_kind(body, Body, "the body")
-        self._body, self._time = body, None
+        check_kind(measured, Body | None, "the measured body")
+        self._bodies, self._time = [], None
+        shown = measured or body
         for stage in self.stages:
-            stage.start(body)
+            if stage.name == MeasureCorrectedBody.name:
+                shown = body
+            self._bodies.append(shown)
+            stage.start(shown)
 
     def step(
         self, positions: ArrayLike, time: float, state: ArrayLike | None = None
@@ -192,9 +213,10 @@ class Cleaner:
         ``positions`` and ``rotations``. Raises an InputError for a wrong shape or time,
         positions that are not numbers, or if ``start`` was not called.
         """
-        if self._body is None:
+        if not self._bodies:
             raise InputError("step() has no body; call start(body) first")
-        skeleton, time = self._body.skeleton, as_number(time, "the time of a frame")
+        skeleton = self._bodies[-1].skeleton
+        time = as_number(time, "the time of a frame")
         measured, states = checked_frame(positions, state, skeleton)
         if not abs(time) < LATEST_TIME_STAMP:
             raise InputError(f"a frame at {time:g} s; give its time stamp in seconds")
@@ -204,13 +226,12 @@ class Cleaner:
                 "increasing time stamps in seconds, or call start() first"
             )
         draft = Draft(skeleton, time, measured, states)
-        draft.body = self._body
         if self._time is not None:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
         self._time = time
-        for stage in self.stages:
+        for stage, draft.body in zip(self.stages, self._bodies, strict=True):
             if draft.appears and not stage.continues:
-                stage.start(self._body)
+                stage.start(draft.body)
             stage.step(draft)
         return draft
 

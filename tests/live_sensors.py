@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from short_takes import beginning
 
-from kinefilter import Avatar
+from kinefilter import Avatar, Cleaner
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.config import CleanConfig
@@ -30,7 +30,6 @@ from kinefilter.pipeline.live.messages import Frame, SeenBody
 from kinefilter.pipeline.live.sensors import Sensors
 from kinefilter.pipeline.live.tally import Tally
 from kinefilter.pipeline.merge import Alignment, align, clean_session
-from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.target.floor import leveled
 
 _say = Console(soft_wrap=True, highlight=False).print
@@ -82,7 +81,7 @@ def follow(
     stream = sensors.streams[1]
     config = LiveConfig(("-", "-"), ("-",), skeleton=take.skeleton.name)
     person, poses = FusedPerson(config, sensors), []
-    person.avatar = person._make_avatar(measure_body(take))
+    person.avatar = person._make_avatar(*Cleaner().measure(take))
     for number, now, frame in frames(*seen):
         leads = sensors.arrive(number, frame, now)
         stream.clock, stream.placed = found.clock, found.placed
@@ -98,7 +97,8 @@ def follow(
 
 def alone(take: Take) -> Array:
     """Return the poses [m] of live with one sensor."""
-    avatar = Avatar(measure_body(take))
+    body, measured = Cleaner().measure(take)
+    avatar = Avatar(body, measured=measured)
     rows = zip(take.positions, take.time.tolist(), take.state, strict=True)
     return np.array([avatar.step(*row).positions for row in rows])
 

@@ -86,6 +86,41 @@ def test_an_avatar_steps_the_same_list(take: Take) -> None:
         np.testing.assert_array_equal(pose.stands, draft.stands)
 
 
+def test_live_motion_is_corrected_as_measured_and_then_has_the_corrected_lengths() -> (
+    None
+):
+    whole = simulate("basic", "walk", seed=4).take
+    take, cleaner = whole.at(slice(60)), Cleaner(CleanConfig(physics=False))
+    body, measured = cleaner.measure(take)
+    np.testing.assert_array_equal(body.lengths, cleaner.clean(take).clip.body.lengths)
+    assert np.abs(body.lengths - measured.lengths).max() > 0.02
+    before = Cleaner().until("correct")
+    before.start(measured)
+    cleaner.start(body, measured)
+    # Feet are kept above the floor after that.
+    thighs = take.skeleton.sides("Knee"), take.skeleton.sides("Hip")
+    for k in range(45):
+        frame = take.positions[k], float(take.time[k]), take.state[k]
+        draft = cleaner.step(*frame)
+        np.testing.assert_array_equal(draft.standard, before.step(*frame).standard)
+        knees, hips = (draft.positions[joints] for joints in thighs)
+        lengths = np.linalg.norm(knees - hips, axis=1)
+        np.testing.assert_allclose(lengths, body.lengths[thighs[0]], atol=1e-6)
+
+
+def test_evaluate_live_steps_somebody_measured_in_the_first_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = simulate("basic", "wave", seed=5)
+    pair = replace(whole, take=whole.take.at(slice(60)), truth=whole.truth[:60])
+    found, take = evaluated(pair, monkeypatch, live=True), pair.take
+    body, measured = Cleaner().measure(take.at(take.time <= take.time[0] + 1.0))
+    avatar = Avatar(body, measured=measured)
+    for k, pose in enumerate(found):
+        frame = take.positions[k], float(take.time[k]), take.state[k]
+        np.testing.assert_allclose(avatar.step(*frame).positions, pose)
+
+
 @every_skeleton
 def test_scores_and_corrections_of_takes_are_those_of_their_frames(
     skeleton: Skeleton,

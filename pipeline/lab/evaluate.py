@@ -9,13 +9,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 from rich.table import Column, Table
 
-from kinefilter.characters import InputError
+from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, Flags, check_choice, check_kind
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.failures import FailureKind
+from kinefilter.pipeline.live.crowd import MEASURED_FOR
 from kinefilter.pipeline.methods import SCORERS, load
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -45,6 +46,7 @@ def evaluate(
     assigned: Sequence[str] = (),
     physics: bool = True,
     database: PostureDatabase | Literal["mocap"] | None = None,
+    live: bool = False,
     every: int = 1,
     progress: Progress = silent,
 ) -> dict[str, Any]:
@@ -89,11 +91,12 @@ def evaluate(
         trained = [(system, school.corrector(system)) for system in systems]
         for pair in new:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
-        for name, tally in _test(new, trained, progress).items():
+        for name, tally in _test(new, trained, live, progress).items():
             tallies.setdefault(name, Tally(accuracy)).extend(tally)
     return {
         "protocol": protocol,
         "physics": physics,
+        "live": live,
         "test_clips": len(tested),
         "reliability_auc": reliability_auc(tested),
         "methods": {name: tally.summary() for name, tally in tallies.items()},
@@ -124,24 +127,26 @@ def _worse_than_none(tallies: dict[str, Tally]) -> dict[str, tuple[int, int]]:
 def _test(
     pairs: Sequence[PairedTake],
     trained: Sequence[tuple[System, Corrector]],
+    live: bool,
     progress: Progress,
 ) -> dict[str, Tally]:
     """Return the results of each system; many clips are shared among all cores."""
+    jobs = {s.label: (pairs, corrector, s.config, live) for s, corrector in trained}
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
-        return {s.label: tally_clips(pairs, c, s.config, progress) for s, c in trained}
+        return {label: tally_clips(*job, progress) for label, job in jobs.items()}
     with workers() as pool:
-        jobs = [
-            (system.label, pool.submit(tally_clips, pairs, corrector, system.config))
-            for system, corrector in trained
-        ]
-        return {name: result.result() for name, result in over(jobs, "test", progress)}
+        results = [(name, pool.submit(tally_clips, *job)) for name, job in jobs.items()]
+        return {
+            name: result.result() for name, result in over(results, "test", progress)
+        }
 
 
 def tally_clips(
     pairs: Sequence[PairedTake],
     corrector: Corrector,
     config: CleanConfig,
+    live: bool = False,
     progress: Progress = silent,
 ) -> Tally:
     """Clean takes with a corrector and compare the clips with the ground truth."""
@@ -150,6 +155,11 @@ def tally_clips(
     cleaner = Cleaner(config).replaced(correct)
     for pair in over(pairs, "test", progress):
         corrector.select_person(pair.subject)
+        if live:
+            first = pair.take.time <= pair.take.time[0] + MEASURED_FOR
+            poses = followed(cleaner, pair.take, pair.take.at(first))
+            tally.add(pair, poses, sum(correct.seconds[-len(poses) :]))
+            continue
         result = cleaner.clean(pair.take)
         clip = result.clip
         # The clip is leveled; take and truth are in the sensor frame.
@@ -160,6 +170,16 @@ def tally_clips(
         seconds = correct.seconds[-1]
         tally.add(level, clip.positions, seconds, clip.uncertainty, warned=warned)
     return tally
+
+
+def followed(cleaner: Cleaner, take: Take, first: Take) -> Array:
+    """Return the poses [m] (T, J, 3) of a live character, a person measured in a take.
+
+    ``first`` are the frames in which ``live`` measures the person.
+    """
+    cleaner.start(*cleaner.measure(first))
+    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
+    return np.array([cleaner.step(*frame).positions for frame in frames])
 
 
 def folds_of(
@@ -245,6 +265,7 @@ def as_table(figures: dict[str, Any]) -> Table:
     """Return the figures for a terminal."""
     count = figures["test_clips"]
     physics = ", with physics" if figures["physics"] else ""
+    physics += ", live" if figures["live"] else ""
     title = (
         f"{count} clips, protocol {figures['protocol']}{physics}; errors in cm, and "
         "their change from raw"
@@ -276,10 +297,13 @@ def as_table(figures: dict[str, Any]) -> Table:
         "times it; found: area under the ROC curve for joints over 7 cm off without "
         "their constant offset, ranked by how far the method moved them; ranked by "
         f"reliability instead: {areas}; in {last['clips_off']} clips a limb is 12 cm "
-        "off for half a second, offset removed: the last method warns of "
-        f"{last['clips_off_told']} of them, and of {last['false_alarms']} of the other "
-        f"{count - last['clips_off']}"
+        "off for half a second, offset removed"
     )
+    if not figures["live"]:
+        table.caption += (
+            f": the last method warns of {last['clips_off_told']} of them, and of "
+            f"{last['false_alarms']} of the other {count - last['clips_off']}"
+        )
     if cells := figures["worse_than_none"]:
         worse = [f"{name} {bad} of {every}" for name, (bad, every) in cells.items()]
         table.caption += (

@@ -27,12 +27,12 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import Mode
-from kinefilter.pipeline.reliability import measure_body
 from kinefilter.pipeline.stages import Correct
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .accuracy import LIMBS, within_uncertainty
+from .evaluate import followed
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
 from .limb_lessons import Lesson, joined, read_lessons, train_prior, with_prior
 from .limb_recordings import Recording, recordings_in
@@ -232,10 +232,7 @@ def _cleaned(
     if not options.live:
         clip = cleaner.clean(take).clip
         return clip.positions, clip.uncertainty, (clip.tilt, clip.roll)
-    cleaner.start(measure_body(unhidden))
-    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
-    positions = np.array([cleaner.step(*frame).positions for frame in frames])
-    return positions, None, (0.0, 0.0)
+    return followed(cleaner, take, unhidden), None, (0.0, 0.0)
 
 
 def _measure(

@@ -9,8 +9,9 @@ import numpy as np
 from kinefilter.characters import Body, State, Take, skeleton_named, standard_body
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import LONGEST_STEP
-from kinefilter.pipeline.reliability import measure_body
 
 from .live_config import LiveConfig
 from .messages import Frame, Reason, SeenBody, as_arrays
@@ -21,9 +22,9 @@ _GONE = 2.0  # s unseen after which a person is dropped
 _RESTARTED = 2.0  # s: a stamp earlier by more than this means the clock restarted
 _STEPS = 15  # steps whose median is the sender's usual one: half a second
 _LONGEST_GAP = 2.0  # s: the person was away for longer ones, and no frame is missing
-# Measured for so long [s], segment lengths of recorded takes differ by 7 mm on average
-# from those of the whole take; after 3 s, by 5 mm.
-_MEASURED_FOR = 1.0
+MEASURED_FOR = 1.0
+"""Seconds in which a person is measured: segment lengths of recorded takes then differ
+by 7 mm on average from those of the whole take; after 3 s, by 5 mm."""
 _ENOUGH = 15  # good frames within that time
 _LONGEST = 3.0  # s after which a person is measured even if half hidden
 _MAX_FRAMES = 120  # kept while measuring, whatever the frame rate
@@ -63,18 +64,19 @@ class Person:
             for stamp, body in self._frames
             if (body.state == State.TRACKED).mean() >= _WELL_SEEN
         ]
-        enough = len(good) >= _ENOUGH and good[-1][0] - good[0][0] >= _MEASURED_FOR
+        enough = len(good) >= _ENOUGH and good[-1][0] - good[0][0] >= MEASURED_FOR
         if enough or time - self._frames[0][0] >= _LONGEST:
             frames = as_arrays(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
-            body = measure_body(take, mass=self._config.mass)
-            self.avatar = self._make_avatar(body)
+            cleaner = Cleaner(CleanConfig(mass=self._config.mass))
+            self.avatar = self._make_avatar(*cleaner.measure(take))
             self._frames.clear()
         return None
 
-    def _make_avatar(self, body: Body) -> Avatar:
-        config = self._config
-        return Avatar(body, config.scene, floor=config.floor, tracking=config.tracking)
+    def _make_avatar(self, body: Body, measured: Body | None = None) -> Avatar:
+        config, world = self._config, (body, self._config.scene)
+        gains = config.tracking
+        return Avatar(*world, floor=config.floor, tracking=gains, measured=measured)
 
 
 class Stamps:

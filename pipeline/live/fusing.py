@@ -53,7 +53,7 @@ class FusedPerson(Person):
         if self.avatar is None or not (self._sensors.joined or self._views):
             return super().step(seen, time)
         if not self._views:
-            body, streams = self.avatar.body, self._sensors.streams
+            body, streams = self.avatar.measured, self._sensors.streams
             self._views = [_View(body, self._corrected.copied()) for _ in streams]
             # Raw joints settle the sides; corrected joints are followed.
             self._fusions = [Fusion(body.skeleton, len(streams)) for _ in range(2)]
@@ -72,8 +72,8 @@ class FusedPerson(Person):
             self._sensors.tally.events[Event.FUSED] += 1
         return self.avatar.step(raw.positions, time, raw.state)
 
-    def _make_avatar(self, body: Body) -> Avatar:
-        avatar = super()._make_avatar(body)
+    def _make_avatar(self, body: Body, measured: Body | None = None) -> Avatar:
+        avatar = super()._make_avatar(body, measured)
         avatar.cleaner = avatar.cleaner.replaced(self._corrected)
         avatar.start()
         return avatar

@@ -11,8 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinefilter.characters import InputError, skeleton_named, standard_body
-from kinefilter.pipeline.avatar import Avatar
+import numpy as np
+
+from kinefilter.characters import InputError, State, skeleton_named, standard_body
 
 from .background import meanwhile
 from .crowd import Crowd, PendingFrame, Person, Presence
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 _TICK = 0.25  # s between checks for people who have left
 _FLUSH = 1.0  # s between writes of the recording: as much is lost if it is killed
-_WARM_UP = 10  # frames; the first of a process takes a hundred times as long
+_WARM_UP = 45  # frames: a second to measure somebody, then poses
 _MOST_BODIES = 32
 _QUIET = 3  # iterations of the event loop that a WebSocket message takes to arrive
 
@@ -229,12 +230,10 @@ class Session:
                 await asyncio.to_thread(recorder.flush)
 
     def _warm_up(self) -> None:
-        """Load what the first pose needs, and exempt it from garbage collection."""
-        config = self._config
-        size = {} if config.height is None else {"height": config.height}
-        body = standard_body(self._skeleton, mass=config.mass, **size)
-        avatar = Avatar(body, config.scene, floor=config.floor)
+        """Load what the first poses need, and exempt it from garbage collection."""
+        person, rest = Person(self._config), standard_body(self._skeleton)
+        tracked = np.full(len(self._skeleton), State.TRACKED)
         for k in range(_WARM_UP):
-            avatar.step(body.rest_positions, k / 30.0)
+            person.step(SeenBody("", rest.rest_positions, tracked), k / 30.0)
         gc.collect()
         gc.freeze()

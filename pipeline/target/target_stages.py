@@ -238,7 +238,7 @@ class Feet(Stage):
         toes = positions[self._parts[:, 1]]
         lift = self._stance.lift(toes, self._heights[:, 1], elapsed)
         positions[self._parts, 1] += lift[:, None]
-        weights[self._parts[stands]] = feet.PLANTED
+        weights[self._parts[stands]] = feet.HELD
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
 

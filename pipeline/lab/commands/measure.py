@@ -23,12 +23,12 @@ _METHODS = (
     "none,butterworth,savgol,one-euro,kalman,low-rank,local-pca,default,exemplar,"
     "full-gp,local-gp,clustered-gp,learned"
 )
-_FOR_HIDING = ("gap", "guess", "context", "live", "by")
+_FOR_HIDING = ("gap", "guess", "context", "by")
 _FOR_METHODS = ("test", "protocol", "database", "mocap_database")
 _UNUSED = {
     "evaluate without --hide": (*_FOR_HIDING, "sync"),
     "--hide": (*_FOR_METHODS, "sync"),
-    "--views": (*_FOR_METHODS, *_FOR_HIDING, "hide", "presets", "set", "every"),
+    "--views": (*_FOR_METHODS, *_FOR_HIDING, "hide", "presets", "set", "every", "live"),
 }
 """By mode, the options that have no effect in it."""
 
@@ -109,7 +109,7 @@ class Evaluate:
     """Treat each clip as a take of its own, or join all repetitions of a movement into
     one take and hide the limb in every third."""
     live: bool = False
-    """With --hide: clean frame by frame, without looking ahead."""
+    """Clean frame by frame, without looking ahead, as 'kinefilter live' does."""
     by: Literal["movement", "gap", "person"] | None = None
     """With --hide: print a row for each movement, gap or person."""
     every: int = 1
@@ -168,6 +168,7 @@ class Evaluate:
                 protocol=self.protocol,
                 physics=self.physics,
                 database=database,
+                live=self.live,
                 every=self.every,
                 progress=progress,
             )
