@@ -77,75 +77,69 @@ class View:
     def run(self) -> int:
         """Read or clean the motion, and serve the page until interrupted."""
         require("viser", "viewing", "view")
-        if len(self.motion) == 1 and self.motion[0].is_dir():
-            return self._run_folder(self.motion[0])
-        from kinefilter.pipeline.look.viewer import Viewer
-        from kinefilter.pipeline.look.viewer_server import opened_server
-
-        if not self.motion:
-            raise InputError("nothing to view; give a take or a clip")
-        save = self.config.edits or edits_beside(self.motion[0])
-        self._check(save)
-        with suppress(KeyboardInterrupt):  # the regular way to quit
-            drawing, again = self._drawing(EditsFile(save).read())
-            with opened_server(self.bind, self.port) as server:
-                viewer = Viewer(server, drawing, save, again)
-                shown = ", ".join(map(str, self.motion))
-                out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
-                if self.open:
-                    webbrowser.open(viewer.address)
-                viewer.run()
-        return 0
-
-    def _run_folder(self, folder: Path) -> int:
-        """Serve the clips of a batch, the worst first, until interrupted."""
-        from kinefilter.pipeline.batch.manifest import read_rows
-        from kinefilter.pipeline.batch.outcome_tables import figures_of, worst_first
+        from kinefilter.pipeline.batch.outcome_tables import figures_of
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import check_address, opened_server
 
+        if not self.motion:
+            raise InputError("nothing to view; give a take or a clip")
         check_address(self.bind, self.port)
-        if self.config != CleanConfig() or self.other or self.body:
-            raise InputError(
-                f"{folder}: clips are shown as they are; of the options, only --take, "
-                "--calibration, --bind, --port and --open apply to a folder"
-            )
-        clips = worst_first(read_rows(folder))
-        if not clips:
-            raise InputError(f"{folder}: its manifest lists no clips")
+        clips: list[tuple[Row, ClipRow]] = []
+        if len(self.motion) == 1 and self.motion[0].is_dir():
+            clips = self._listed(self.motion[0])
+        else:
+            self._check()
 
         def names() -> Iterator[str]:
             for row, clip in clips:
                 take, *figures = figures_of(row, clip).items()
                 yield f"{take[1]} ({', '.join(map(' '.join, figures))})"
 
-        opened, number = self._open_listed(folder, clips, 0), 0
-        with opened_server(self.bind, self.port) as server, suppress(KeyboardInterrupt):
-            viewer = Viewer(server, *opened, listed=[*names()])
-            out.print(f"{viewer.address} shows {folder}; press Ctrl-C to quit")
-            if self.open:
-                webbrowser.open(viewer.address)
-            while (chosen := viewer.run()) is not None:
-                try:
-                    opened = self._open_listed(folder, clips, chosen)
-                    number = chosen
-                except InputError as error:  # the page stays with the take it shows
-                    err.print(f"kinefilter: {error}")
-                server.gui.reset()
-                viewer = Viewer(server, *opened, listed=[*names()], shown=number)
+        with suppress(KeyboardInterrupt):  # the regular way to quit
+            number, opened = 0, self._opened(clips, 0)
+            with opened_server(self.bind, self.port) as server:
+                viewer = Viewer(server, *opened, listed=[*names()])
+                shown = ", ".join(map(str, self.motion))
+                out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
+                if self.open:
+                    webbrowser.open(viewer.address)
+                while (chosen := viewer.run()) is not None:
+                    try:
+                        number, opened = chosen, self._opened(clips, chosen)
+                    except InputError as error:  # the page stays with what it shows
+                        err.print(f"kinefilter: {error}")
+                    server.gui.reset()
+                    viewer = Viewer(server, *opened, listed=[*names()], shown=number)
         return 0
 
-    def _open_listed(
-        self, folder: Path, clips: list[tuple[Row, ClipRow]], number: int
-    ) -> tuple[Drawing, Path, CleanAgain]:
-        """Return the drawing of a clip, its file of edits, and what cleans it again.
+    def _listed(self, folder: Path) -> list[tuple[Row, ClipRow]]:
+        """Return the clips of a batch, the worst first."""
+        from kinefilter.pipeline.batch.manifest import read_rows
+        from kinefilter.pipeline.batch.outcome_tables import worst_first
 
-        The drawing has the take if it is found and of one sensor. Cleaning again
-        replaces the clip in the folder, and its row in ``clips``.
+        if self.config != CleanConfig() or self.other or self.body:
+            raise InputError(
+                f"{folder}: clips are shown as they are; of the options, only --take, "
+                "--calibration, --bind, --port and --open apply to a folder"
+            )
+        if not (clips := worst_first(read_rows(folder))):
+            raise InputError(f"{folder}: its manifest lists no clips")
+        return clips
+
+    def _opened(
+        self, clips: list[tuple[Row, ClipRow]], number: int
+    ) -> tuple[Drawing, Path, CleanAgain | None]:
+        """Return a drawing, its file of edits, and what cleans it again.
+
+        Of a list of clips, the drawing has the take if it is found and of one sensor.
+        Cleaning again replaces the clip in the folder, and its row in ``clips``.
         """
+        if not clips:
+            drawing, draw = self._drawing(EditsFile(self._save).read())
+            return drawing, self._save, draw
         from kinefilter.pipeline.batch.again import clean_again, find_takes
 
-        row, clip = clips[number]
+        (row, clip), (folder,) = clips[number], self.motion
         path, takes = folder / clip.output, find_takes(row, self.take)
         shown = tuple(takes) if len(takes) == 1 else ()
         one = replace(self, motion=(path,), take=shown, body=clip.body)
@@ -162,16 +156,17 @@ class View:
         save = edits_beside(takes[0] if takes else path)
         return one._drawing(())[0], save, again
 
-    def _check(self, save: Path) -> None:
-        """Check all options before doing any work."""
-        from kinefilter.pipeline.look.viewer_server import check_address
+    @property
+    def _save(self) -> Path:
+        """The file of edits of a motion that is not in a folder."""
+        return self.config.edits or edits_beside(self.motion[0])
 
-        check_address(self.bind, self.port)
-        check_output(save)
+    def _check(self) -> None:
+        """Check all options before doing any work."""
         config, takes = replace(self.config, edits=None), self.take or self.motion
         files = (config.database, config.model, config.contacts)
         used = (*files, self.calibration, self.other)
-        keep(save, *self.motion, *self.take, *used)
+        check_output(self._save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
                 f"{self.motion[0]}: a clip is shown as it is; cleaning options are for "
@@ -212,10 +207,9 @@ class View:
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
         if self._is_clip:
-            if not self.take:
-                clip = read_finite_clip(self.motion[0])
-                return self._compared(Drawing(clip)), None
-            return self._compared(_comparison(self.motion[0], self)), None
+            if self.take:
+                return self._compared(_comparison(self.motion[0], self)), None
+            return self._compared(Drawing(read_finite_clip(self.motion[0]))), None
         calibration = read_calibration(self.calibration)
         recordings = [
             read_recording(path, format=self.format, fps=self.take_fps)
@@ -223,7 +217,6 @@ class View:
         ]
         for note in recordings[0].notes:
             out.print(note)
-
         config = replace(self.config, edits=None)
         cleaner, take = Cleaner(config), recordings[0].take(self.body)
         before: list[Unedited] = []

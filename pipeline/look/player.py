@@ -19,8 +19,8 @@ from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes import SCENES
 
 from .drawing import Drawing, StickFigure
-from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import add_batch, add_props, add_skin, cylinder, set_stage
+from .viewer_server import Action, ServedPage, table_html
 
 _SPEEDS = ("1", "0.5", "0.25", "0.1")
 _MAX_DELAY = 0.25  # s: a longer delay is skipped, not caught up

@@ -19,8 +19,8 @@ from .drawing import Drawing, Sensor
 from .edit_history import EditHistory
 from .playhead import Playback
 from .timelines import AXES, Curves, timeline_html
-from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
+from .viewer_server import Action, ServedPage, table_html
 
 CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
 """Cleans the take again with edits; returns the new drawing."""
