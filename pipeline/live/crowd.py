@@ -67,8 +67,7 @@ class Person:
         if enough or time - self._frames[0][0] >= _LONGEST:
             frames = as_arrays(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
-            body = measure_body(take, mass=self._config.mass)
-            self.avatar = self._make_avatar(body)
+            self.avatar = self._make_avatar(measure_body(take, mass=self._config.mass))
             self._frames.clear()
         return None
 

@@ -203,8 +203,7 @@ class Session:
             return
         if person.avatar.turn is not turn:
             self.tally.notes[presence.slot] = person.avatar.turn.notes()
-        latency = time.perf_counter() - frame.arrived
-        body = person.avatar.body
+        body, latency = person.avatar.body, time.perf_counter() - frame.arrived
         live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)
         for sink in self._sinks:
             sink.send(live)

@@ -162,10 +162,9 @@ class Sensors:
         try:
             while True:
                 for stream in self.others:
-                    both = (one for one in (self.lead, stream) if one is not None)
-                    found = [one.recording(self._skeleton) for one in both]
-                    pair = [recording for recording in found if recording is not None]
-                    if len(pair) < 2:
+                    both = [one for one in (self.lead, stream) if one is not None]
+                    found = (one.recording(self._skeleton) for one in both)
+                    if len(pair := [one for one in found if one is not None]) < 2:
                         continue
                     answer = asyncio.wrap_future(process.submit(find_alignment, pair))
                     with suppress(ProcessDiedError):  # it was killed

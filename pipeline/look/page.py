@@ -88,8 +88,7 @@ def write_report(
     gated = {gate.metric for gate in gates}
     limits = (*(limit for limit in LIMITS if limit.metric not in gated), *gates)
     contents = contents_of(comparison, limits)
-    scripts = [_TEMPLATE / f"{name}.js" for name in _SCRIPTS]
-    files = [_TEMPLATE / "page.html", *scripts]
+    files = [_TEMPLATE / "page.html", *(_TEMPLATE / f"{name}.js" for name in _SCRIPTS)]
     write_page(path, f"kinefilter: {contents['source']}", contents, files)
 
 

@@ -49,8 +49,7 @@ class Player(ServedPage):
         self._status_shown = self._busy = 0.0
         self._add_panel(server.gui)
         self._on(server.scene.on_click(), self._throw_at, whole=True)
-        shove = server.scene.on_click(modifier="shift")
-        self._on(shove, self._shove_at, whole=True)
+        self._on(server.scene.on_click(modifier="shift"), self._shove_at, whole=True)
         self._draw_scene()
 
     def run(self) -> None:
@@ -134,8 +133,7 @@ class Player(ServedPage):
                 self._show_status()
 
     def _show_status(self) -> None:
-        playground = self._playground
-        recorded = playground.recording
+        playground, recorded = self._playground, self._playground.recording
         rows = [
             ("time", f"{playground.time:.1f} s"),
             ("character", playground.doing),
@@ -144,8 +142,9 @@ class Player(ServedPage):
         if recorded is not None:
             rows.append(("recorded", f"{recorded / RATE:.1f} s"))
         self._status.content = table_html(("opacity:0.6", *row) for row in rows)
+        limp = all(character.limp for character in self._acted_on)
         label = {
-            "Let go": "Take hold" if self._limp else "Let go",
+            "Let go": "Take hold" if limp else "Let go",
             "Pause": "Pause" if self._playing else "Resume",
             "Record": "Record" if recorded is None else "Stop recording",
         }
@@ -156,7 +155,7 @@ class Player(ServedPage):
         self._throw_from(event.ray_origin, np.array(event.ray_direction))
 
     def _throw(self, event: Any) -> None:
-        way = self._way_to_chest(event)
+        *_, way = self._way_to_chest(event)
         self._throw_from(event.client.camera.position, way / np.linalg.norm(way))
 
     def _throw_from(self, eye: Any, way: Array) -> None:
@@ -165,22 +164,20 @@ class Player(ServedPage):
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
         hit = self._playground.hit_by(event.ray_origin, event.ray_direction)
         if hit is not None:
-            number, joint = hit
-            self._playground.shove(joint, event.ray_direction, number)
+            self._playground.shove(hit[1], event.ray_direction, hit[0])
 
     def _shove(self, event: Any) -> None:
-        number = self._number or 0
-        chest = self._playground.motions[number].skeleton.girdle
-        way = self._way_to_chest(event) * [1.0, 0.0, 1.0]
-        self._playground.shove(chest, way, number)
+        number, chest, way = self._way_to_chest(event)
+        self._playground.shove(chest, way * [1.0, 0.0, 1.0], number)
 
-    def _way_to_chest(self, event: Any) -> Any:
-        """Return the vector from the browser's camera to the chest [m], shape (3,)."""
+    def _way_to_chest(self, event: Any) -> tuple[int, int, Array]:
+        """Return who is acted on, the chest, and the way there from the camera [m]."""
         number = self._number or 0
         chest = self._playground.motions[number].skeleton.girdle
         camera = event.client.camera.position
         way = self._playground.characters[number].positions[chest] - camera
-        return way if np.linalg.norm(way[[0, 2]]) > 0.01 else np.array([0.0, 0, -1])
+        level = np.linalg.norm(way[[0, 2]])
+        return number, chest, way if level > 0.01 else np.array([0.0, 0.0, -1.0])
 
     def _drag(self, event: Any, number: int = 0) -> None:
         if event.phase == "end" or event.instance_index is None:
@@ -188,8 +185,7 @@ class Player(ServedPage):
             return
         segments = self._playground.motions[number].skeleton.segments
         joint = segments[event.instance_index]
-        start, end = event.start_position, event.end_position
-        self._playground.drag(joint, start, end, number)
+        self._playground.drag(joint, event.start_position, event.end_position, number)
 
     @property
     def _acted_on(self) -> Sequence[PulledCharacter]:
@@ -197,15 +193,10 @@ class Player(ServedPage):
         characters, number = self._playground.characters, self._number
         return characters if number is None else characters[number : number + 1]
 
-    @property
-    def _limp(self) -> bool:
-        """Whether nothing pulls the characters that the buttons act on."""
-        return all(character.limp for character in self._acted_on)
-
     def _let_go(self, _: object) -> None:
-        limp = not self._limp
+        limp = all(character.limp for character in self._acted_on)
         for character in self._acted_on:
-            character.limp = limp
+            character.limp = not limp
 
     def _choose(self, name: str) -> None:
         self._number = None if name == "all" else int(name) - 1
@@ -232,8 +223,7 @@ class Player(ServedPage):
         paths = next(r for r in recordings if not any(path.exists() for path in r))
         for clip, to in zip(clips, paths, strict=True):
             write_clip(clip, to)
-        written = ", ".join(map(str, paths))
-        self._report(f"wrote {written}, {clips[0].time[-1]:.1f} s")
+        self._report(f"wrote {', '.join(map(str, paths))}, {clips[0].time[-1]:.1f} s")
 
 
 def _add_grips(

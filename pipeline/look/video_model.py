@@ -64,9 +64,7 @@ class ClipModel:
             pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it aims
             dir=away,
             diffuse=[0.45] * 3,
-            ambient=[0.0] * 3,
             specular=[0.12] * 3,
-            castshadow=True,
         )
         skin = _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         if seams:
@@ -131,10 +129,8 @@ class OffscreenRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._buffer)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._view = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE_GEOMS)
-        flags = self._view.flags
-        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
-        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
+        self._view.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        self._view.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         self._camera = mujoco.MjvCamera()
         model.vis.global_.fovy = camera.fov
         opaque = bool((model.skin_rgba[:, 3] == 1.0).all())
@@ -152,10 +148,7 @@ class OffscreenRenderer:
             return self._draw(floor=True, rest=True)[0][::-1]
         behind, depths = self._background
         pixels, depth = self._draw(floor=False, rest=True)
-        nearer = depth < depths
-        picture = behind.copy()
-        picture[nearer] = pixels[nearer]
-        return picture[::-1]
+        return np.where((depth < depths)[..., None], pixels, behind)[::-1]
 
     def close(self) -> None:
         """Release OpenGL's resources."""
@@ -174,9 +167,8 @@ class OffscreenRenderer:
     def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, Singles]:
         """Return colors and, unless all is drawn, depths, from the lowest row up."""
         options: Any = mujoco.MjvOption()
-        options.geomgroup[:] = rest
+        options.geomgroup[:] = options.skingroup[:] = rest
         options.geomgroup[_FLOOR_GROUP] = floor
-        options.skingroup[:] = rest
         self._view.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = floor
         model, data, view = self._clip_model.model, self._clip_model.data, self._view
         # Otherwise the scene's light and floor follow the previous camera.

@@ -114,7 +114,8 @@ class Viewer(ServedPage):
         for key, (label, action) in keys.items():
             self._on(gui.add_command(label, hotkey=key).on_trigger, action)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
-        self._on(speed.on_update, self._set_speed)
+        faster = self._playback.change_speed
+        self._on(speed.on_update, lambda x: faster(float(x), perf_counter()))
         doubt = gui.add_button("Next doubtful stretch", hint="key N")
         self._on(doubt.on_click, self._go_to_doubt)
         with gui.add_folder("Edits"):
@@ -171,8 +172,7 @@ class Viewer(ServedPage):
         self._choose_layers()
 
     def _show(self) -> None:
-        frame = self._playback.frame(perf_counter())
-        playing = self._playback.playing
+        frame, playing = self._playback.frame(perf_counter()), self._playback.playing
         with self._server.atomic():
             self._scene.show(frame)
             if self._requests.empty():  # a slider being dragged would jump back
@@ -205,9 +205,6 @@ class Viewer(ServedPage):
 
     def _step(self, button: str) -> None:
         self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
-
-    def _set_speed(self, speed: str) -> None:
-        self._playback.change_speed(float(speed), perf_counter())
 
     def _choose_curves(self, _: object = None) -> None:
         self._curves = Curves(self._drawing, self._curve.value, self._axis.value)
@@ -335,12 +332,10 @@ def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
         rows.append(("external force", f"{force:.2f} body weights"))
     styled = [("opacity:0.6", *row) for row in rows]
     for sensor in sensors:
-        distances = sensor.residuals[frame]
-        seen = np.isfinite(distances)
-        text = "sees no one"
-        if seen.any():
+        distances, text = sensor.residuals[frame], "sees no one"
+        if np.isfinite(distances).any():
             text = f"share {sensor.shares[frame].mean():.0%}, "
-            text += f"{np.median(distances[seen]) * 100.0:.1f} cm from merged"
+            text += f"{np.nanmedian(distances) * 100.0:.1f} cm from merged"
         style = f"font-weight:600;color:rgb{sensor.color};overflow-wrap:anywhere"
         styled.append((style, sensor.name, text))
     return table_html(styled)

@@ -123,17 +123,12 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
 def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
     """Add frusta to the sensors' figures, and their names below, one under another."""
     for k, sensor in enumerate(sensors):
-        foot = sensor.edges[-1, 1]
+        name, edges, foot = sensor.name, sensor.edges, sensor.edges[-1, 1]
         away = [np.linalg.norm(foot - other.edges[-1, 1]) for other in sensors[:k]]
-        scene.add_line_segments(
-            f"/{sensor.name}/frustum", sensor.edges, sensor.color, thickness=_EDGE
-        )
-        scene.add_label(
-            f"/{sensor.name}/name",
-            sensor.name,
-            position=foot - [0.0, _NAME * sum(a < _TOGETHER for a in away), 0.0],
-            anchor="top-center",
-        )
+        place = foot - [0.0, _NAME * sum(a < _TOGETHER for a in away), 0.0]
+        frustum = f"/{name}/frustum"
+        scene.add_line_segments(frustum, edges, sensor.color, thickness=_EDGE)
+        scene.add_label(f"/{name}/name", name, position=place, anchor="top-center")
 
 
 def add_skin(
