@@ -164,7 +164,7 @@ class Drawing:
         hidden = {"cleaned", "physics", *(("forces",) if self.sensors else ())}
         return {name: name not in hidden for name in names}
 
-    @property
+    @cached_property
     def doubtful(self) -> Flags:
         """Frames where the tracker failed or a joint is hardly reliable, (T,).
 
@@ -245,11 +245,6 @@ def read_finite_clip(path: Path) -> Clip:
     if not np.isfinite(clip.positions).all():
         raise InputError(f"{path}: positions are not finite; clean the take again")
     return clip
-
-
-def segment_starts(skeleton: Skeleton) -> list[int]:
-    """Return the joint at which each segment starts; for the root, itself."""
-    return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
 
 
 def corners_of(prop: Prop, count: int) -> Array:

@@ -8,8 +8,7 @@ from kinefilter.characters.arrays import Array, Flags, Indices, runs
 
 from .drawing import PHYSICS, Color, Drawing, StickFigure, reliability_colors
 
-AXES = ("x (left)", "y (up)", "z (forward)")
-"""The coordinates of a joint, in the clip's world frame."""
+AXES = ("x (left)", "y (up)", "z (forward)")  # of the clip's world frame
 
 _WIDTH = 600  # units of the pictures, roughly the pixels across a panel
 _HEIGHT = 150  # px, height of the curves

@@ -94,8 +94,7 @@ class Composition:
         aspect, rate = width / height, self.rate
         seen_by = partial(camera_path, look.camera, clip, aspect=aspect, rate=rate)
         joints, raw = clip.positions, None
-        cubes = joints[:, :, None] + _SKIN * CORNERS
-        points = [cubes.reshape(len(clip), -1, 3)]
+        points = [(joints[:, :, None] + _SKIN * CORNERS).reshape(len(clip), -1, 3)]
         points += [corners_of(prop, len(clip)) for prop in clip.props]
         if look.compare is not None:
             raw = raw_positions(look.compare, whole, clip.time)
@@ -214,14 +213,12 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
     if numbered and not _NUMBERED.fullmatch(out.name):
         example = out.with_name(f"{out.stem}-%05d.png")
         raise InputError(f"{out}: pictures need a number, such as {example}")
-    named = out
     if len(clips) > 1 and _CLIP not in str(out):
         added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
-        named = out.parent / added
+        out = out.parent / added
     stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
-    paths = [Path(str(named).replace(_CLIP, stem)) for stem in stems]
-    twice = [path for path, count in Counter(paths).items() if count > 1]
-    if twice:
+    paths = [Path(str(out).replace(_CLIP, stem)) for stem in stems]
+    if twice := [path for path, count in Counter(paths).items() if count > 1]:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
         raise InputError(
             f"{', '.join(same)}: would be drawn to one file, {twice[0]}; draw clips "
@@ -296,8 +293,7 @@ def draw_parts(task: RenderTask, frames: range) -> list[list[Coded]]:
         size, rate = task.look.pixels, task.rate
         return [encode_video(_pictures(task, k), size, rate) for k in parts]
     for number, picture in zip(frames, _pictures(task, frames), strict=True):
-        path = task.out.with_name(task.out.name % number)
-        with atomic_path(path) as temporary:
+        with atomic_path(task.out.with_name(task.out.name % number)) as temporary:
             temporary.write_bytes(encode_png(picture))
     return []
 

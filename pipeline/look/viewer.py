@@ -67,8 +67,7 @@ class Viewer(ServedPage):
         self._pin: Any = None
         self._add_panel(server.gui, drawing)
         self._look_at(drawing)
-        count = len(self._edits.edits)
-        self._report(f"{count or 'no'} edits in {save.name}")
+        self._report(f"{len(self._edits.edits) or 'no'} edits in {save.name}")
 
     def run(self) -> int | None:
         """Play and serve the requests of the page until ``stop`` is called.
@@ -132,8 +131,7 @@ class Viewer(ServedPage):
             names = ("remove", "undo", "redo")
             add_buttons("change", names, self._change, "keys U and R")
             self._on(gui.add_button("Save edits").on_click, self._save)
-            possible = self._again is not None
-            again = gui.add_button("Save and clean again", visible=possible)
+            again = gui.add_button("Save and clean again", visible=bool(self._again))
             self._on(again.on_click, self._clean_again)
             self._message = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
@@ -160,14 +158,12 @@ class Viewer(ServedPage):
         self._chosen = self._listed.index(name)
 
     def _look_at(self, drawing: Drawing) -> None:
-        self._clip, self._sensors = drawing.clip, drawing.sensors
-        self._drawing = drawing
+        self._drawing, self._clip = drawing, drawing.clip
         self._choose_curves()
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
         self._pin = None  # removed with the old scene
         self._edits.look_at(drawing.clip)
-        self._doubtful = drawing.doubtful
         self._show_edits()
         self._choose_layers()
 
@@ -177,7 +173,7 @@ class Viewer(ServedPage):
             self._scene.show(frame)
             if self._requests.empty():  # a slider being dragged would jump back
                 self._frame.value = frame + 1
-            self._status.content = status_html(self._clip, frame, self._sensors)
+            self._status.content = status_html(self._clip, frame, self._drawing.sensors)
             rows = dict(zip(_ROWS, self._edits.contacts.T, strict=True))
             rows |= {"edited": self._edits.edited, "doubtful": self._doubts}
             self._timeline.content = timeline_html(rows, frame, self._first_and_last)
@@ -191,7 +187,7 @@ class Viewer(ServedPage):
     @property
     def _doubts(self) -> Flags:
         """Doubtful frames that no edit covers yet, shape (T,)."""
-        return np.asarray(self._doubtful & ~self._edits.edited)
+        return np.asarray(self._drawing.doubtful & ~self._edits.edited)
 
     @property
     def _first_and_last(self) -> tuple[int, int]:

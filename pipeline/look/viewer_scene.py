@@ -16,11 +16,10 @@ from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_over, camera_path
-from .drawing import Color, Drawing, Sensor, StickFigure, left_of, segment_starts
+from .drawing import Color, Drawing, Sensor, StickFigure, left_of
 from .edit_history import EditHistory
 
-Layer = tuple[Any, Callable[[int], None]]
-"""What is shown or hidden together, and a function that moves it to a frame."""
+Layer = tuple[Any, Callable[[int], None]]  # what is shown, and what moves it to a frame
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
 _BONE_COLOR = (82, 84, 94)
@@ -138,7 +137,7 @@ def add_skin(
 
     It takes joint positions [m] (J, 3) and rotations, quaternions wxyz (J, 4).
     """
-    starts, joints = segment_starts(body.skeleton), len(body.skeleton)
+    starts, joints = np.maximum(body.skeleton.parents, 0), len(body.skeleton)
     skin = skin_of(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
@@ -154,8 +153,7 @@ def add_skin(
 
     def pose(positions: Array, rotations: Array) -> None:
         for joint, bone in enumerate(mesh.bones):
-            bone.position = positions[starts[joint]]
-            bone.wxyz = rotations[joint]
+            bone.position, bone.wxyz = positions[starts[joint]], rotations[joint]
 
     return mesh, pose
 
@@ -230,8 +228,6 @@ def set_stage(
         _FLOOR,
         _FLOOR,
         plane="xz",
-        cell_size=0.5,
-        section_size=1.0,
         cell_color=(205, 207, 211),
         section_color=(170, 173, 180),
         infinite_grid=True,

@@ -16,8 +16,7 @@ import websockets.asyncio.server as library
 from kinefilter.characters import InputError
 from kinefilter.pipeline.loopback import is_loopback
 
-Action = Callable[[Any], object]
-"""What to do, given the value of the widget that was used."""
+Action = Callable[[Any], object]  # what to do, given the value of the widget used
 
 
 class ServedPage:
