@@ -76,7 +76,6 @@ class Live:
                 await session.run(stop, lambda used: self._print_places(session, used))
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
-        """Print the addresses in use, and the token if it was generated."""
         count, names = len(session.endpoints.sources), [*map(str, used)]
         err.print(f"from {', '.join(names[:count])} to {', '.join(names[count:])}")
         sockets = [address for address in used if address.scheme in ("ws", "wss")]

@@ -61,8 +61,7 @@ class Session:
             from .fusing import FusedPerson
             from .sensors import Sensors
 
-            known = read_calibration(config.calibration)
-            check_sensors(known, count)
+            check_sensors(known := read_calibration(config.calibration), count)
             self.sensors = Sensors(self._skeleton, count, known, self.tally)
             self._new_person = partial(FusedPerson, config, self.sensors)
         elif config.calibration is not None:

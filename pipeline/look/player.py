@@ -104,15 +104,14 @@ class Player(ServedPage):
         with server.atomic():
             server.scene.reset()
             set_stage(server, Drawing(playground.motion))
-            self._poses, self._place_grips = [], []
+            self._figures: list[tuple[Any, Any]] = []  # what poses skin and grips
             for number, motion in enumerate(playground.motions):
                 end = str(number + 1) if number else ""
                 _, pose = add_skin(server.scene, motion.body, f"/mesh{end}")
                 grips, place = _add_grips(server.scene, motion.body, f"/grips{end}")
                 drag = partial(self._drag, number=number)
                 self._on(grips.on_drag("left"), drag, whole=True)
-                self._poses.append(pose)
-                self._place_grips.append(place)
+                self._figures.append((pose, place))
             _, frames = add_props(server.scene, playground.props)
             names = [prop.name for prop in playground.props]
             by_name = dict(zip(names, frames, strict=True))
@@ -121,8 +120,8 @@ class Player(ServedPage):
     def _show(self) -> None:
         characters, things = self._playground.characters, self._playground.scene_props
         with self._server.atomic():
-            drawn = zip(characters, self._poses, self._place_grips, strict=True)
-            for character, pose, place_grips in drawn:
+            drawn = zip(characters, self._figures, strict=True)
+            for character, (pose, place_grips) in drawn:
                 positions = character.positions
                 pose(positions, character.rotations)
                 place_grips(positions)
@@ -152,14 +151,13 @@ class Player(ServedPage):
             button.label = label.get(name, name)
 
     def _throw_at(self, event: viser.SceneClickEvent) -> None:
-        self._throw_from(event.ray_origin, np.array(event.ray_direction))
+        way = np.array(event.ray_direction)
+        self._playground.throw(event.ray_origin + _FROM_CAMERA * way, way)
 
     def _throw(self, event: Any) -> None:
         *_, way = self._way_to_chest(event)
-        self._throw_from(event.client.camera.position, way / np.linalg.norm(way))
-
-    def _throw_from(self, eye: Any, way: Array) -> None:
-        self._playground.throw(eye + _FROM_CAMERA * way, way)
+        way /= np.linalg.norm(way)
+        self._playground.throw(event.client.camera.position + _FROM_CAMERA * way, way)
 
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
         hit = self._playground.hit_by(event.ray_origin, event.ray_direction)

@@ -125,7 +125,7 @@ def _filtered(
     """Yield the frames a filter makes from PNG pictures and, for some, a palette."""
     graph: Any = av.filter.Graph()
     node, sink = graph.add(name, options), graph.add("buffersink")
-    with av.open(io.BytesIO(b"".join(pictures)), format="png_pipe") as file:
+    with av.open(io.BytesIO(b"".join(pictures)), "r", format="png_pipe") as file:
         source = graph.add_buffer(file.streams.video[0])
         graph.link_nodes(source, node, sink)
         if palette is not None:

@@ -25,7 +25,7 @@ from .viewer_server import Action, ServedPage, table_html
 CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
 """Cleans the take again with edits; returns the new drawing."""
 
-_STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}  # frames, by button
+_STEPS = ("-10", "-1", "+1", "+10")  # frames
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _BESIDE = "raw alongside"  # checkbox: the raw take is beside the character
 _SHADOWS = "shadows"  # checkbox: without a GPU, shadows are half of the work
@@ -200,7 +200,7 @@ class Viewer(ServedPage):
         (playback.pause if playback.playing else playback.play)(perf_counter())
 
     def _step(self, button: str) -> None:
-        self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
+        self._playback.seek(self._playback.frame(perf_counter()) + int(button))
 
     def _choose_curves(self, _: object = None) -> None:
         self._curves = Curves(self._drawing, self._curve.value, self._axis.value)

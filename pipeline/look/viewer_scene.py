@@ -176,9 +176,8 @@ def add_props(
     group = scene.add_frame("/props", show_axes=False)
     frames = []
     for n, prop in enumerate(props):
-        frame = scene.add_frame(f"/props/{n}", show_axes=False)
-        frame.position, frame.wxyz = prop.positions[0], prop.rotations[0]
-        frames.append(frame)
+        frames.append(scene.add_frame(f"/props/{n}", show_axes=False))
+        frames[n].position, frames[n].wxyz = prop.positions[0], prop.rotations[0]
         for k, shape in enumerate(prop.shapes):
             mesh = shape.surface()
             scene.add_mesh_simple(
