@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from .video_files import Coded, Pixels
     from .video_model import OffscreenRenderer
 
-PART = 60
-"""Frames in a part of a video; each starts with a keyframe, where players can seek."""
+PART = 60  # frames in a part of a video, which starts with a keyframe to seek to
 
 _EXTENSIONS = (".mp4", ".gif", ".png")
 _CLIP = "{clip}"

@@ -22,8 +22,7 @@ from .timelines import AXES, Curves, timeline_html
 from .viewer_scene import ViewerScene
 from .viewer_server import Action, ServedPage, table_html
 
-CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
-"""Cleans the take again with edits; returns the new drawing."""
+CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]  # cleans with other edits
 
 _STEPS = ("-10", "-1", "+1", "+10")  # frames
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
