@@ -1,7 +1,4 @@
-"""A clip beside the take it was made from, and the metrics of both.
-
-The take is brought into the clip's frame: leveled, with its floor at y = 0.
-"""
+"""A clip beside the take it was made from, and the metrics of both."""
 
 from __future__ import annotations
 
