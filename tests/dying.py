@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kinefilter.pipeline.batch.manifest import Row
     from kinefilter.pipeline.batch.plan import Job
+    from kinefilter.pipeline.look.video import RenderTask
     from kinefilter.pipeline.look.video_files import Coded
-    from kinefilter.pipeline.look.video_task import RenderTask
 
 
 def draw_or_die(task: RenderTask, _: range) -> list[list[Coded]]:

@@ -27,9 +27,9 @@ from kinefilter.pipeline.look.drawing import (
     reliability_colors,
 )
 from kinefilter.pipeline.look.options import Look
+from kinefilter.pipeline.look.video import Composition, RenderTask, props_around
 from kinefilter.pipeline.look.video_model import ClipModel, figure_names
 from kinefilter.pipeline.look.video_opengl import find_backend
-from kinefilter.pipeline.look.video_task import Composition, RenderTask, props_around
 
 
 def _model(clip: Clip, raw: NDArray[np.float64] | None = None) -> ClipModel:
@@ -183,7 +183,7 @@ from pathlib import Path
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video_model import ClipModel
 from kinefilter.pipeline.look.video_model import OffscreenRenderer
-from kinefilter.pipeline.look.video_task import Composition, RenderTask
+from kinefilter.pipeline.look.video import Composition, RenderTask
 
 def renderer(camera):
     look = Look(size="160x90", camera=camera)

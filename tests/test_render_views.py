@@ -19,8 +19,12 @@ from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
 from kinefilter.pipeline.look.comparison import raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
-from kinefilter.pipeline.look.video import output_paths, stretches
-from kinefilter.pipeline.look.video_task import PART, shown_frames
+from kinefilter.pipeline.look.video import (
+    PART,
+    output_paths,
+    shown_frames,
+    stretches,
+)
 from kinefilter.scenes.library import perform
 
 ASPECT = 16 / 9

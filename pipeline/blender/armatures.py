@@ -164,8 +164,7 @@ def show_reliability(
     """Color bones by mean reliability, and animate it as a property; unknown is 0."""
     packed = zlib.decompress(base64.b64decode(extras["reliability"]))
     columns = np.frombuffer(packed, "<i4").reshape(len(extras["joints"]), -1)
-    rows = np.delete(columns.T, extras["held"], axis=0)
-    shares = np.maximum(rows, 0.0) / 100.0
+    shares = np.maximum(np.delete(columns.T, extras["held"], axis=0), 0.0) / 100.0
     points = np.empty((len(shares), 2), dtype=np.float32)
     points[:, 0] = (np.array(extras["time"]) - extras["time"][0]) * fps
     linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"]

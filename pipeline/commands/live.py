@@ -76,12 +76,8 @@ class Live:
                 await session.run(stop, lambda used: self._print_places(session, used))
 
     def _print_places(self, session: Session, used: list[Address]) -> None:
-        """Print the addresses in use, and the token if it was generated."""
-        count = len(session.endpoints.sources)
-        sources, targets = (
-            ", ".join(map(str, u)) for u in (used[:count], used[count:])
-        )
-        err.print(f"from {sources} to {targets}")
+        count, names = len(session.endpoints.sources), [*map(str, used)]
+        err.print(f"from {', '.join(names[:count])} to {', '.join(names[count:])}")
         sockets = [address for address in used if address.scheme in ("ws", "wss")]
         token = session.endpoints.access.token
         if sockets and token is not None and self.access.token_file is None:
@@ -103,21 +99,18 @@ async def _show(session: Session) -> None:
         while True:
             await asyncio.sleep(_REFRESH)
             if display:
-                line = Text(status(session), overflow="ellipsis")
-                display.update(line, refresh=True)
+                display.update(Text(status(session), overflow="ellipsis"), refresh=True)
             else:
                 log(status(session))
-            notes = session.tally.all_notes()
-            for note in notes:
-                if note not in printed:
+            before, printed = printed, session.tally.all_notes()
+            for note in printed:
+                if note not in before:
                     err.print(note)
-            printed = notes
 
 
 def status(session: Session) -> str:
     """Return a one-line status of the session."""
-    tally, crowd = session.tally, session.crowd
-    events = tally.events
+    tally, crowd, events = session.tally, session.crowd, session.tally.events
     frames, poses = events[Event.FRAMES], events[Event.POSES]
     parts = [
         f"{len(crowd)} {'person' if len(crowd) == 1 else 'people'}"

@@ -1,4 +1,4 @@
-"""The commands ``view``, ``render`` and ``report``."""
+"""The commands ``view``, ``play``, ``render`` and ``report``."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from kinefilter.characters import InputError
+from kinefilter.characters import Clip, InputError, TrackingName
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.edits import Edit, EditsFile, edits_beside
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.formats.clips import check_writable
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
+from kinefilter.pipeline.settings import Settings
 
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
@@ -77,101 +79,93 @@ class View:
     def run(self) -> int:
         """Read or clean the motion, and serve the page until interrupted."""
         require("viser", "viewing", "view")
-        if len(self.motion) == 1 and self.motion[0].is_dir():
-            return self._run_folder(self.motion[0])
-        from kinefilter.pipeline.look.viewer import Viewer
-        from kinefilter.pipeline.look.viewer_server import opened_server
-
-        if not self.motion:
-            raise InputError("nothing to view; give a take or a clip")
-        save = self.config.edits or edits_beside(self.motion[0])
-        self._check(save)
-        with suppress(KeyboardInterrupt):  # the regular way to quit
-            drawing, again = self._drawing(EditsFile(save).read())
-            with opened_server(self.bind, self.port) as server:
-                viewer = Viewer(server, drawing, save, again)
-                shown = ", ".join(map(str, self.motion))
-                out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
-                if self.open:
-                    webbrowser.open(viewer.address)
-                viewer.run()
-        return 0
-
-    def _run_folder(self, folder: Path) -> int:
-        """Serve the clips of a batch, the worst first, until interrupted."""
-        from kinefilter.pipeline.batch.manifest import read_rows
-        from kinefilter.pipeline.batch.outcome_tables import figures_of, worst_first
+        from kinefilter.pipeline.batch.outcome_tables import figures_of
         from kinefilter.pipeline.look.viewer import Viewer
         from kinefilter.pipeline.look.viewer_server import check_address, opened_server
 
+        if not self.motion:
+            raise InputError("nothing to view; give a take or a clip")
         check_address(self.bind, self.port)
-        if self.config != CleanConfig() or self.other or self.body:
-            raise InputError(
-                f"{folder}: clips are shown as they are; of the options, only --take, "
-                "--calibration, --bind, --port and --open apply to a folder"
-            )
-        clips = worst_first(read_rows(folder))
-        if not clips:
-            raise InputError(f"{folder}: its manifest lists no clips")
+        clips: list[tuple[Row, ClipRow]] = []
+        if len(self.motion) == 1 and self.motion[0].is_dir():
+            clips = self._listed(self.motion[0])
+        else:
+            self._check()
 
         def names() -> Iterator[str]:
             for row, clip in clips:
                 take, *figures = figures_of(row, clip).items()
                 yield f"{take[1]} ({', '.join(map(' '.join, figures))})"
 
-        opened, number = self._open_listed(folder, clips, 0), 0
-        with opened_server(self.bind, self.port) as server, suppress(KeyboardInterrupt):
-            viewer = Viewer(server, *opened, listed=[*names()])
-            out.print(f"{viewer.address} shows {folder}; press Ctrl-C to quit")
-            if self.open:
-                webbrowser.open(viewer.address)
-            while (chosen := viewer.run()) is not None:
-                try:
-                    opened = self._open_listed(folder, clips, chosen)
-                    number = chosen
-                except InputError as error:  # the page stays with the take it shows
-                    err.print(f"kinefilter: {error}")
-                server.gui.reset()
-                viewer = Viewer(server, *opened, listed=[*names()], shown=number)
+        with suppress(KeyboardInterrupt):  # the regular way to quit
+            number, opened = 0, self._opened(clips, 0)
+            with opened_server(self.bind, self.port) as server:
+                viewer = Viewer(server, *opened, listed=[*names()])
+                shown = ", ".join(map(str, self.motion))
+                out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
+                if self.open:
+                    webbrowser.open(viewer.address)
+                while (chosen := viewer.run()) is not None:
+                    try:
+                        number, opened = chosen, self._opened(clips, chosen)
+                    except InputError as error:  # the page stays with what it shows
+                        err.print(f"kinefilter: {error}")
+                    server.gui.reset()
+                    viewer = Viewer(server, *opened, listed=[*names()], shown=number)
         return 0
 
-    def _open_listed(
-        self, folder: Path, clips: list[tuple[Row, ClipRow]], number: int
-    ) -> tuple[Drawing, Path, CleanAgain]:
-        """Return the drawing of a clip, its file of edits, and what cleans it again.
+    def _listed(self, folder: Path) -> list[tuple[Row, ClipRow]]:
+        """Return the clips of a batch, the worst first."""
+        from kinefilter.pipeline.batch.manifest import read_rows
+        from kinefilter.pipeline.batch.outcome_tables import worst_first
 
-        The drawing has the take if it is found and of one sensor. Cleaning again
-        replaces the clip in the folder, and its row in ``clips``.
+        if self.config != CleanConfig() or self.other or self.body:
+            raise InputError(
+                f"{folder}: clips are shown as they are; of the options, only --take, "
+                "--calibration, --bind, --port and --open apply to a folder"
+            )
+        if not (clips := worst_first(read_rows(folder))):
+            raise InputError(f"{folder}: its manifest lists no clips")
+        return clips
+
+    def _opened(
+        self, clips: list[tuple[Row, ClipRow]], number: int
+    ) -> tuple[Drawing, Path, CleanAgain | None]:
+        """Return a drawing, its file of edits, and what cleans it again.
+
+        Of a list of clips, the drawing has the take if it is found and of one sensor.
+        Cleaning again replaces the clip in the folder, and its row in ``clips``.
         """
+        if not clips:
+            drawing, draw = self._drawing(EditsFile(self._save).read())
+            return drawing, self._save, draw
         from kinefilter.pipeline.batch.again import clean_again, find_takes
 
-        row, clip = clips[number]
+        (row, clip), (folder,) = clips[number], self.motion
         path, takes = folder / clip.output, find_takes(row, self.take)
         shown = tuple(takes) if len(takes) == 1 else ()
         one = replace(self, motion=(path,), take=shown, body=clip.body)
 
         def again(edits: Sequence[Edit], progress: Progress) -> Drawing:
-            old = clips[number][0]
             for _ in progress("clean", 1):
-                new = clean_again(old, folder, takes)
+                new = clean_again(clips[number][0], folder, takes)
             made = {clip.output: (new, clip) for clip in new.clips}
-            for k, (_, clip) in enumerate(clips):
-                clips[k] = made.get(clip.output, clips[k])
+            clips[:] = [made.get(each[1].output, each) for each in clips]
             return one._drawing(edits)[0]
 
         save = edits_beside(takes[0] if takes else path)
         return one._drawing(())[0], save, again
 
-    def _check(self, save: Path) -> None:
-        """Check all options before doing any work."""
-        from kinefilter.pipeline.look.viewer_server import check_address
+    @property
+    def _save(self) -> Path:
+        """The file of edits of a motion that is not in a folder."""
+        return self.config.edits or edits_beside(self.motion[0])
 
-        check_address(self.bind, self.port)
-        check_output(save)
+    def _check(self) -> None:
         config, takes = replace(self.config, edits=None), self.take or self.motion
         files = (config.database, config.model, config.contacts)
         used = (*files, self.calibration, self.other)
-        keep(save, *self.motion, *self.take, *used)
+        check_output(self._save, *self.motion, *self.take, *used)
         if self._is_clip and config != CleanConfig():
             raise InputError(
                 f"{self.motion[0]}: a clip is shown as it is; cleaning options are for "
@@ -191,14 +185,13 @@ class View:
     @property
     def _is_clip(self) -> bool:
         """True if the motion is a clip; .bvh and .csv may also be takes."""
-        names = [path.name.removesuffix(".gz") for path in self.motion]
+        names = (path.name.removesuffix(".gz") for path in self.motion)
         suffixes = {Path(name).suffix.lower() for name in names}
         with_take = bool(self.take) and self.take != self.motion
         kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
         return not suffixes.isdisjoint(kinds)
 
     def _compared(self, drawing: Drawing) -> Drawing:
-        """Add the clip of --other, if there is one, to a drawing."""
         if self.other is None:
             return drawing
         from kinefilter.pipeline.look.comparison import same_times
@@ -212,10 +205,9 @@ class View:
         from kinefilter.pipeline.merge import clean_session, read_calibration
 
         if self._is_clip:
-            if not self.take:
-                clip = read_finite_clip(self.motion[0])
-                return self._compared(Drawing(clip)), None
-            return self._compared(_comparison(self.motion[0], self)), None
+            if self.take:
+                return self._compared(_comparison(self.motion[0], self)), None
+            return self._compared(Drawing(read_finite_clip(self.motion[0]))), None
         calibration = read_calibration(self.calibration)
         recordings = [
             read_recording(path, format=self.format, fps=self.take_fps)
@@ -223,7 +215,6 @@ class View:
         ]
         for note in recordings[0].notes:
             out.print(note)
-
         config = replace(self.config, edits=None)
         cleaner, take = Cleaner(config), recordings[0].take(self.body)
         before: list[Unedited] = []
@@ -250,6 +241,86 @@ class View:
 
         with progress_bars() as progress:
             return draw(edits, progress), draw
+
+
+@dataclass(frozen=True)
+class Play:
+    """Interact with a character in the browser: push it, throw balls, let it fall.
+
+    Prints the address of a page. The character performs a take in a loop; drag it or
+    throw balls with the mouse, and use buttons and keys to release and reattach it,
+    pause, slow down, restart, and record a clip. Several characters share the scene and
+    push each other, and each is recorded to a clip of its own. Needs pip install
+    "kinefilter[view]".
+    """
+
+    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "basic"
+    """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
+    (.xml)."""
+    take: UseAppendAction[tuple[Path, ...]] = ()
+    """The motion to perform: a take in any of the formats of --format, or a clip (.npz,
+    USD or GLB); default: the sample take. Repeat it for several characters, who begin
+    beside each other."""
+    format: TakeFormat | None = None
+    """Format of the take; default: detected from its content."""
+    body: int | Literal["all"] | None = None
+    """Number of the person in the take, from 1, or 'all', who begin where they were to
+    each other; default: the one seen in most frames."""
+    tracking: TrackingName = "game"
+    """How the character follows the motion: faithful, as in clean; game, which gives
+    way when hit, falls and gets up; or ragdoll, which does not follow."""
+    save: Path = Path("play.npz")
+    """File that the page records to, in any clip format; further recordings go to
+    play.2.npz and so on, with .1, .2 and so on added for several characters. The page
+    writes nothing else."""
+    bind: str = "127.0.0.1"
+    """Address to listen on; the default accepts connections from this machine only.
+    Anyone who can connect may play and record."""
+    port: int = 0
+    """Port to listen on; 0 picks a free one."""
+    open: bool = False
+    """Open the page in the default browser."""
+
+    def run(self) -> int:
+        """Clean the take, and serve the page until interrupted."""
+        require("viser", "playing", "view")
+        from kinefilter.pipeline.look.player import Player
+        from kinefilter.pipeline.look.viewer_server import check_address, opened_server
+        from kinefilter.pipeline.physics.playground import Playground
+        from kinefilter.scenes import SAMPLE  # loads mujoco
+
+        check_address(self.bind, self.port)
+        check_writable(self.save)
+        keep(self.save, *self.take)
+        if self.body == "all" and len(self.take) > 1:
+            raise InputError("--body all needs a single --take")
+        with suppress(KeyboardInterrupt):  # the regular way to quit
+            takes = self.take or (SAMPLE,)
+            motions = [motion for path in takes for motion in self._motions(path)]
+            placed = self.body == "all"
+            ground = Playground(motions, self.scene, self.tracking, placed=placed)
+            with opened_server(self.bind, self.port) as server:
+                player = Player(server, ground, self.save)
+                shown = ", ".join(map(str, self.take)) or SAMPLE.name
+                out.print(f"{player.address} plays {shown}; press Ctrl-C to quit")
+                if self.open:
+                    webbrowser.open(player.address)
+                player.run()
+        return 0
+
+    def _motions(self, path: Path) -> list[Clip]:
+        if path.suffix.lower() in WHOLE_CLIPS:
+            return [read_finite_clip(path)]
+        config, clips = CleanConfig(physics=False), list[Clip]()
+        settings = Settings(config, format=self.format, body=self.body)
+        read = [settings.read(path)]
+        with progress_bars() as progress:
+            cleaned = settings.clean(read, settings.people(read), progress=progress)
+            for _, result, _ in cleaned:
+                if isinstance(result, InputError):
+                    raise result
+                clips.append(result.clip)
+        return clips
 
 
 @dataclass(frozen=True)

@@ -184,12 +184,11 @@ class Crowd:
             self._tally.events[Event.UNSEEN] += 1
             return False
         if seen.id not in self._here:
-            if len(self._here) >= self._most:
+            free = set(range(self._most)) - {p.slot for p in self._here.values()}
+            if not free:
                 self._tally.events[Event.CROWDED] += 1
                 return False
-            taken = {presence.slot for presence in self._here.values()}
-            slot = min(set(range(self._most)) - taken)
-            self._here[seen.id] = Presence(seen.id, slot, now)
+            self._here[seen.id] = Presence(seen.id, min(free), now)
         presence = self._here[seen.id]
         presence.last_seen = now
         if not seen.from_other_sensor:

@@ -153,8 +153,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
             ) from None
     elif "wss" in schemes:
         raise InputError("wss:// needs --certificate; give one, or write ws://")
-    count = len(sources)
-    granted = Access(token, access.origin, tls)
+    granted, count = Access(token, access.origin, tls), len(sources)
     return Endpoints(tuple(ends[:count]), tuple(ends[count:]), granted)
 
 
@@ -236,8 +235,7 @@ def cannot_listen(address: Address, error: OSError) -> InputError:
 
 
 Datagrams = Callable[[bytes, int], bool]
-"""Sends a datagram to the address's port plus an offset; returns whether the system
-accepted it, which does not mean that a program received it."""
+"""Sends a datagram to the address's port plus an offset; returns whether it left."""
 
 
 @contextmanager

@@ -65,8 +65,7 @@ class FusedPerson(Person):
         for view, swapped in zip(self._views, raw.swapped, strict=True):
             view.correct(swapped=bool(swapped))
         sights = [view.sight(moment, corrected=True) for view, moment in each]
-        settled = np.zeros_like(raw.swapped)
-        fused = self._fusions[1].step(sights, elapsed, settled)
+        fused = self._fusions[1].step(sights, elapsed, np.zeros_like(raw.swapped))
         self._corrected.places = fused.positions
         if sum(sight is not None for sight in sights) > 1:
             self._sensors.tally.events[Event.FUSED] += 1
@@ -80,8 +79,7 @@ class FusedPerson(Person):
 
     def _moments(self, seen: SeenBody, time: float) -> list[_Moment | None]:
         """Pass new frames to the views; return each sensor's moment, if it is known."""
-        moments: list[_Moment | None] = []
-        joined = self._sensors.joined
+        moments, joined = list[_Moment | None](), self._sensors.joined
         for view, stream in zip(self._views, self._sensors.streams, strict=True):
             if stream is self._sensors.lead:
                 if not seen.from_other_sensor:
@@ -148,6 +146,5 @@ class _View:
         last = self._corrected if corrected else self._raw
         if moment is None or last is None or abs(moment[0] - self.time) > MAX_AGE:
             return None
-        placed = moment[1]
-        positions = placed.apply(last.positions)
-        return last._replace(positions=positions, sensor=placed.shift)
+        positions = moment[1].apply(last.positions)
+        return last._replace(positions=positions, sensor=moment[1].shift)

@@ -62,8 +62,7 @@ class Session:
             from .fusing import FusedPerson
             from .sensors import Sensors
 
-            known = read_calibration(config.calibration)
-            check_sensors(known, count)
+            check_sensors(known := read_calibration(config.calibration), count)
             self.sensors = Sensors(self._skeleton, count, known, self.tally)
             self._new_person = partial(FusedPerson, config, self.sensors)
         elif config.calibration is not None:
@@ -204,8 +203,7 @@ class Session:
             return
         if person.avatar.turn is not turn:
             self.tally.notes[presence.slot] = person.avatar.turn.notes()
-        latency = time.perf_counter() - frame.arrived
-        body = person.avatar.body
+        body, latency = person.avatar.body, time.perf_counter() - frame.arrived
         live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)
         for sink in self._sinks:
             sink.send(live)

@@ -1,30 +1,6 @@
 """Messages of a live session: incoming frames and outgoing poses, one JSON line each.
 
-A frame, for example::
-
-    {"time": 12.034, "bodies": [{"id": "1", "joints": {
-        "SpineBase": [0.11, -0.24, 2.31, 2], "SpineMid": [0.12, 0.05, 2.3], ...}}]}
-
-``time`` is the sensor's own time stamp [s]. A joint is x, y, z [m] in the sensor frame
-with y up, optionally followed by its state (0 not tracked, 1 inferred, 2 tracked, the
-default). A joint that is not visible is omitted, null, or at the origin. Instead of
-naming joints, ``joints`` may list all of them in the SDK's order:
-``[[x, y, z, state], null, ...]``. An ``id`` is a string of up to 32 characters or a
-whole number, and refers to the same person whichever sender uses it. For a single
-person, ``{"time": 12.034, "joints": ...}`` is short for body 1.
-
-The first line of output describes the arrays in those that follow::
-
-    {"skeleton": "kinect_v2", "joints": ["SpineBase", ...], "parents": [-1, ...]}
-
-Then comes one line per pose. ``time`` is the stamp of its frame [s] and ``body`` the
-sender's id; ``root`` is the position of the root joint and ``positions`` holds those of
-all joints, in the order above [m], in the world frame: right-handed, y up, floor at
-y = 0. ``rotations`` are world rotations (wxyz) of the segment that ends at each joint,
-identity in the T-pose facing +z. ``stands`` is true for each foot (left, right) that is
-planted, ``external_force`` is the force that neither muscles nor floor explain [body
-weights], and ``latency`` is the time since the frame arrived [ms]. When a person
-leaves, one line reports it: ``{"body": "1", "gone": true}``.
+``CONVENTIONS.md`` describes them under *Streams*.
 """
 
 from __future__ import annotations

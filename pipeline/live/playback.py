@@ -5,6 +5,7 @@ import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, suppress
 from http import HTTPStatus
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -134,8 +135,8 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
     time = np.unique(np.concatenate([take.time for take in takes]))
     rows = [np.searchsorted(take.time, time) for take in takes]
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    passed, length = 0.0, float(time[-1] - time[0]) + usual
-    while True:
+    length = float(time[-1] - time[0]) + usual
+    for passed in count(0.0, length) if loop else (0.0,):
         for k, stamp in enumerate(time.tolist()):
             bodies = [
                 SeenBody(str(number), take.positions[row[k]], take.state[row[k]])
@@ -143,9 +144,6 @@ def frames_of(takes: Sequence[Take], *, loop: bool = False) -> Iterator[Frame]:
                 if row[k] < len(take) and take.time[row[k]] == stamp
             ]
             yield Frame(stamp + passed, tuple(body for body in bodies if body.is_seen))
-        if not loop:
-            return
-        passed += length
 
 
 async def replay(
@@ -165,9 +163,8 @@ async def replay(
             f"--speed {speed:g}: expected {_MIN_SPEED:g} or more, such as 2"
         )
     clock = asyncio.get_running_loop()
-    began, first, sent = clock.time(), None, 0
+    began, first, sent = clock.time(), min(float(take.time[0]) for take in takes), 0
     for frame in frames_of(takes, loop=loop):
-        first = frame.time if first is None else first
         due = began + (frame.time - first) / speed
         if due > clock.time():
             with suppress(TimeoutError):

@@ -117,7 +117,5 @@ class Recorder:
         return part
 
     def _fail(self, path: Path, error: OSError) -> None:
-        reason = error.strerror or error
-        self.failure = (
-            f"{path}: recording stopped ({reason}); free some space and restart"
-        )
+        wrong = f"recording stopped ({error.strerror or error})"
+        self.failure = f"{path}: {wrong}; free some space and restart"

@@ -162,10 +162,9 @@ class Sensors:
         try:
             while True:
                 for stream in self.others:
-                    both = (one for one in (self.lead, stream) if one is not None)
-                    found = [one.recording(self._skeleton) for one in both]
-                    pair = [recording for recording in found if recording is not None]
-                    if len(pair) < 2:
+                    both = [one for one in (self.lead, stream) if one is not None]
+                    found = (one.recording(self._skeleton) for one in both)
+                    if len(pair := [one for one in found if one is not None]) < 2:
                         continue
                     answer = asyncio.wrap_future(process.submit(find_alignment, pair))
                     with suppress(ProcessDiedError):  # it was killed
@@ -240,15 +239,15 @@ class Sensors:
 def find_alignment(recordings: Sequence[Recording]) -> Alignment | str:
     """Return the alignment of a second sensor to a first, or why there is none."""
     first = recordings[0].takes[0].source
-    with suppress(ArithmeticError, ValueError, np.linalg.LinAlgError):
-        try:
-            (found,) = merge(recordings).alignments
-        except InputError as refused:
-            reason, _, _ = str(refused).rpartition(": ")[2].partition(";")
-            return f"{reason} (compared with {first})"
-        copied = found.trunk_distance < _COPIED
-        return f"it repeats the stream of {first}" if copied else found
-    return "its frames cannot be aligned"
+    try:
+        (found,) = merge(recordings).alignments
+    except InputError as refused:
+        reason, _, _ = str(refused).rpartition(": ")[2].partition(";")
+        return f"{reason} (compared with {first})"
+    except (ArithmeticError, ValueError):
+        return "its frames cannot be aligned"
+    copied = found.trunk_distance < _COPIED
+    return f"it repeats the stream of {first}" if copied else found
 
 
 def _joined_note(stream: Stream, lead: Stream) -> str:

@@ -66,11 +66,10 @@ async def open_source(
         async with meanwhile(_read_stdin(intake)):
             yield address
     elif address.scheme == "udp":
-        loop = asyncio.get_running_loop()
+        make = asyncio.get_running_loop().create_datagram_endpoint
+        here = address.host, address.port
         try:
-            transport, _ = await loop.create_datagram_endpoint(
-                lambda: Receiver(intake), local_addr=(address.host, address.port)
-            )
+            transport, _ = await make(lambda: Receiver(intake), local_addr=here)
         except OSError as error:
             raise endpoints.cannot_listen(address, error) from None
         try:
@@ -96,22 +95,20 @@ class Receiver(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         """Take a datagram."""
         now = time.perf_counter()
-        rate = self.rate(addr, now)
-        if rate is None:
+        if (rate := self.rate(addr, now)) is None:
             self._intake.tally.events[Event.REFUSED] += 1
         else:
             self._intake.take(data, rate, now)
 
     def rate(self, peer: Hashable, now: float) -> Rate | None:
         """Return a sender's rate, or None if there are too many senders."""
-        if peer not in self._rates and len(self._rates) >= MAX_CONNECTIONS:
+        if peer not in self._rates:
             # Senders have no connection to close, so silent ones are forgotten.
-            for other, rate in list(self._rates.items()):
-                if now - rate.heard >= _FORGOTTEN:
-                    del self._rates[other]
-            if len(self._rates) >= MAX_CONNECTIONS:
+            heard = {p: r for p, r in self._rates.items() if now - r.heard < _FORGOTTEN}
+            if len(heard) >= MAX_CONNECTIONS:
                 return None
-        return self._rates.setdefault(peer, Rate(now))
+            self._rates = {**heard, peer: Rate(now)}
+        return self._rates[peer]
 
 
 async def _take_all(intake: Intake, connection: ServerConnection) -> None:
@@ -129,24 +126,15 @@ async def _take_all(intake: Intake, connection: ServerConnection) -> None:
 
 async def _read_stdin(intake: Intake) -> None:
     """Take each line once the last one has its poses; the writer of a pipe can wait."""
-    rest, too_long = b"", False
-
-    async def take(line: bytes) -> None:
-        nonlocal too_long
-        if too_long:
-            intake.tally.malformed[Reason.TOO_LONG] += 1
-        elif line.strip():
-            intake.receive(line)
-            await intake.done()
-        too_long = False
-
+    rest = chunk = b"\n"
     try:
-        while chunk := await read_stdin():
-            *lines, rest = (rest + chunk).split(b"\n")
+        while chunk:
+            chunk = await read_stdin()
+            *lines, rest = (rest + (chunk or b"\n")).split(b"\n")
+            rest = rest[: MAX_MESSAGE + 1]  # enough to tell that a line is too long
             for line in lines:
-                await take(line)
-            if len(rest) > MAX_MESSAGE:
-                rest, too_long = b"", True
-        await take(rest)
+                if line.strip():
+                    intake.receive(line)
+                    await intake.done()
     finally:
         intake.ended()

@@ -3,13 +3,13 @@
 A pose is the person on VRM's skeleton (``retarget/rigs/vrm.toml``) in the person's own
 size. Each bone has Unity's name, and position [m] and rotation (xyzw) relative to its
 parent; the hips are relative to the root, which stays at the world origin. Unity's axes
-are left-handed: x is mirrored, so (x, y, z) becomes (-x, y, z) and the quaternion
-(w, x, y, z) becomes (w, x, -y, -z).
+are left-handed: x is mirrored.
 
 Packing OSC messages takes half a millisecond, so they are packed once; overwriting
 their floats for each pose takes a tenth of that.
 """
 
+import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,18 +23,17 @@ from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
 LARGEST_BUNDLE = 1400  # bytes that fit into an Ethernet packet, so that none is split
-_HEAD, _PREFIX = 16, 4  # bytes at the start of a bundle, and before each message in it
+_HEAD = b"#bundle\0" + bytes(7) + b"\1"  # of a bundle to be shown immediately
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
 _MIRRORED = np.array([-1.0, 1.0, 1.0])
 _TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
 
 
 class VmcFigure:
-    """One person as VMC bones.
+    """One person as VMC bones, each turned by its segment as in ``retarget``.
 
-    Each bone turns with the segment that turns it in ``retarget``. Since arms and legs
-    have the person's lengths and directions, hands and feet have the right positions
-    relative to shoulders and hips.
+    Since arms and legs have the person's lengths and directions, hands and feet have
+    the right positions relative to shoulders and hips.
     """
 
     def __init__(self, body: Body) -> None:
@@ -88,9 +87,8 @@ class VmcFigure:
         local = self._local.copy()
         hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + self._higher
         local[self._root] = hips + rotate(turns[self._root], self._over)
-        positions = local * _MIRRORED
         rotations = multiply(inverse(above), turns) * _TURNED
-        bones = zip(positions, rotations, strict=True)
+        bones = zip(local * _MIRRORED, rotations, strict=True)
         return dict(zip(self._names, bones, strict=True))
 
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
@@ -126,15 +124,10 @@ def _message(address: str, *values: str | int | float) -> bytes:
 
 def _bundles(messages: Sequence[bytes]) -> list[Singles]:
     """Return bundles that fit into packets, as OSC's words of four bytes."""
-    from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
-    from pythonosc.osc_message import OscMessage
-
-    builders: list[OscBundleBuilder] = []
-    room = 0
+    bundles = [_HEAD]
     for message in messages:
-        room -= _PREFIX + len(message)
-        if room < 0:
-            builders.append(OscBundleBuilder(IMMEDIATELY))
-            room = LARGEST_BUNDLE - _HEAD - _PREFIX - len(message)
-        builders[-1].add_content(OscMessage(message))
-    return [np.frombuffer(builder.build().dgram, dtype=">f4") for builder in builders]
+        sized = struct.pack(">i", len(message)) + message
+        if len(bundles[-1]) + len(sized) > LARGEST_BUNDLE:
+            bundles.append(_HEAD)
+        bundles[-1] += sized
+    return [np.frombuffer(bundle, dtype=">f4") for bundle in bundles]

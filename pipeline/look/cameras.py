@@ -28,10 +28,8 @@ _MARGIN = 0.06  # of the picture, on each side
 class CameraPath:
     """A camera in every frame, or one that stays where it is."""
 
-    positions: Array
-    """Positions [m], world frame, shape (T, 3), or (1, 3) if the camera stays."""
-    targets: Array
-    """Points in the middle of the picture [m], world frame, shaped likewise."""
+    positions: Array  # [m], world frame, shape (T, 3), or (1, 3) if the camera stays
+    targets: Array  # points in the middle of the picture [m], likewise
     fov: float  # vertical field of view [degrees]
 
     @property
@@ -94,8 +92,7 @@ def camera_over(points: Array, sensors: Array, *, aspect: float) -> CameraPath:
     It shows all points [m] (N, 3), which include the sensors [m] (S, 3).
     """
     x, _, z = (sensors - np.median(points, axis=0)).mean(axis=0)
-    toward = _direction(np.arctan2(x, z), np.radians(_OVER))
-    return _still(points, toward, aspect)
+    return _still(points, _direction(np.arctan2(x, z), np.radians(_OVER)), aspect)
 
 
 def axes_toward(toward: Array) -> tuple[Array, Array]:
@@ -117,9 +114,8 @@ def _still(points: Array, toward: Array, aspect: float) -> CameraPath:
     away = _distance(points - target, toward, aspect)
     for _ in range(4):  # each makes the difference of the margins a tenth
         offsets = points - target
-        depth = away - offsets @ toward
         for axis in axes:
-            edge = offsets @ axis / depth
+            edge = offsets @ axis / (away - offsets @ toward)
             target = target + 0.5 * away * (edge.max() + edge.min()) * axis
         away = _distance(points - target, toward, aspect)
     return CameraPath((target + away * toward)[None], target[None], _FOV)
@@ -141,8 +137,7 @@ def camera_of(camera: str) -> CameraPath:
             f"--camera {camera}: expected {', '.join(CAMERAS)} or a .toml file"
         )
     table = read_toml(path, "write lines such as position = [0.0, 1.5, 4.0]")
-    unknown = ", ".join(sorted(set(table) - {"position", "target", "fov"}))
-    if unknown:
+    if unknown := ", ".join(sorted(set(table) - {"position", "target", "fov"})):
         raise InputError(f"{path}: unknown {unknown}; expected position, target, fov")
     for name in ("position", "target"):
         place = table.get(name)

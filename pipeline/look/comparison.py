@@ -1,7 +1,4 @@
-"""A clip beside the take it was made from, and the metrics of both.
-
-The take is brought into the clip's frame: leveled, with its floor at y = 0.
-"""
+"""A clip beside the take it was made from, and the metrics of both."""
 
 from __future__ import annotations
 
@@ -54,8 +51,7 @@ class Comparison(Drawing):
     damage: tuple[str, ...]
     """What was wrong with the take, when, what was done about it, and what is uncertain
     about the place of its sensors, in sentences."""
-    before: dict[str, float]
-    """Metrics of the take by name (``METRICS``), NaN where unknown."""
+    before: dict[str, float]  # metrics of the take (``METRICS``), NaN where unknown
     after: dict[str, float]  # metrics of the clip, likewise
 
 

@@ -12,21 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Clip,
-    InputError,
-    Motion,
-    Prop,
-    Skeleton,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, Clip, InputError, Motion, Prop, Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate
 from kinefilter.pipeline.formats import read_clip
 
 if TYPE_CHECKING:
+    from kinefilter.characters import Take
     from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.failures import Failure
     from kinefilter.pipeline.merge import Merged
@@ -61,10 +54,8 @@ class Sticks(NamedTuple):
 
     joints: Array  # joint positions [m], at the origin where not present, shape (J, 3)
     joint_present: Flags
-    joint_colors: Array | None
-    """Colors by reliability, 0 to 1, shape (J, 3); None if the figure has one color."""
-    centers: Array
-    """Centers of the bones [m], in the order of Skeleton.segments, shape (S, 3)."""
+    joint_colors: Array | None  # by reliability, 0 to 1, shape (J, 3); None: one color
+    centers: Array  # of the bones [m], in the order of Skeleton.segments, shape (S, 3)
     lengths: Array
     rotations: Array  # rotations from +y to the bones, quaternions wxyz, shape (S, 4)
     bone_present: Flags
@@ -75,11 +66,9 @@ class StickFigure:
     """Joints and bones in every frame, gray or in one color."""
 
     skeleton: Skeleton
-    positions: Array
-    """Joint positions [m], world frame, NaN where missing, shape (T, J, 3)."""
+    positions: Array  # of joints [m], world frame, NaN where missing, shape (T, J, 3)
     color: Color | None = None
-    reliability: Array | None = None
-    """Reliability that colors the joints, NaN where unknown, shape (T, J)."""
+    reliability: Array | None = None  # colors the joints, NaN: unknown, shape (T, J)
 
     def at(self, frame: int) -> Sticks:
         """Return the figure in one frame."""
@@ -106,12 +95,11 @@ class Sensor(StickFigure):
 
     name: str  # number of the sensor, from 1, and name of its take
     color: Color
-    residuals: Array
-    """Distances of these from the joints of the merged take [m], shape (T, J)."""
+    residuals: Array  # distances from the joints of the merged take [m], shape (T, J)
     shares: Array  # share of this sensor in each merged joint, 0 to 1, shape (T, J)
     frustum: Array
-    """Position [m], and corners of its view 0.6 m away: upper left, upper right, lower
-    right and lower left of its picture, shape (5, 3)."""
+    """Position [m], and corners of its view 0.6 m away, clockwise in its picture from
+    the upper left, shape (5, 3)."""
     figures: dict[str, Any]  # row of the sensor in ``Merged.figures``
 
     @property
@@ -128,15 +116,11 @@ class Drawing:
     """A clip and what it was made from, in the clip's frame."""
 
     clip: Clip
-    raw: Array | None = None
-    """Measured joint positions [m], NaN where missing, shape (T, J, 3)."""
+    raw: Array | None = None  # measured joints [m], NaN where missing, (T, J, 3)
     target: Array | None = None  # joint positions before physics [m], shape (T, J, 3)
-    sensors: tuple[Sensor, ...] = ()
-    """The sensors whose takes were merged, if there were several."""
-    failures: tuple[Failure, ...] = ()
-    """Failures of the tracker, as far as they are known."""
-    other: Motion | None = None
-    """Another motion to compare with the clip, frame by frame."""
+    sensors: tuple[Sensor, ...] = ()  # if takes of several were merged
+    failures: tuple[Failure, ...] = ()  # of the tracker, as far as they are known
+    other: Motion | None = None  # to compare with the clip, frame by frame
 
     @classmethod
     def of(cls, result: CleanResult, take: Take, merged: Merged | None = None) -> Self:
@@ -180,7 +164,7 @@ class Drawing:
         hidden = {"cleaned", "physics", *(("forces",) if self.sensors else ())}
         return {name: name not in hidden for name in names}
 
-    @property
+    @cached_property
     def doubtful(self) -> Flags:
         """Frames where the tracker failed or a joint is hardly reliable, (T,).
 
@@ -241,8 +225,7 @@ def sensors_of(merged: Merged, raw: Array) -> tuple[Sensor, ...]:
 
 def offset_beside(positions: Array, way: Array, room: float = 0.0) -> Array:
     """Return the offset [m] along a unit vector that separates two figures, (3,)."""
-    width = np.ptp(positions @ way, axis=1).max()
-    return np.asarray((width + _GAP + room) * way)
+    return np.asarray((np.ptp(positions @ way, axis=1).max() + _GAP + room) * way)
 
 
 def left_of(motion: Motion) -> Array:
@@ -264,16 +247,10 @@ def read_finite_clip(path: Path) -> Clip:
     return clip
 
 
-def segment_starts(skeleton: Skeleton) -> list[int]:
-    """Return the joint at which each segment starts; for the root, itself."""
-    return [p if p >= 0 else j for j, p in enumerate(skeleton.parents)]
-
-
 def corners_of(prop: Prop, count: int) -> Array:
     """Return corners of boxes around a prop's shapes [m], world frame, (T, 8 S, 3)."""
     corners = np.concatenate([shape.corners for shape in prop.shapes])
-    turned = rotate(prop.rotations[:, None], corners)
-    placed = prop.positions[:, None] + turned
+    placed = prop.positions[:, None] + rotate(prop.rotations[:, None], corners)
     return np.broadcast_to(placed, (count, *placed.shape[1:]))
 
 

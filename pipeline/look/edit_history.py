@@ -9,7 +9,7 @@ from kinefilter.pipeline.edits import Edit, with_contacts
 
 
 class EditHistory:
-    """Edits of a clip, with undo and redo."""
+    """Edits, and with them contacts (T, 4) and edited frames (T,) of a clip."""
 
     def __init__(self, edits: Iterable[Edit], clip: Clip) -> None:
         self._states, self._current = [tuple(edits)], 0
@@ -52,8 +52,6 @@ class EditHistory:
     def _go_to(self, state: int) -> None:
         self._current = state
         self.contacts = with_contacts(self._clip.contacts, self.edits, self.since)
-        """Planted parts of the feet (CONTACTS), shape (T, 4)."""
         self.edited = np.zeros(len(self.since), dtype=np.bool_)
-        """Frames that an edit covers, shape (T,)."""
         for edit in self.edits:
             self.edited |= edit.frames(self.since)

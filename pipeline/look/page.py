@@ -1,7 +1,4 @@
-"""Report pages, and the limits of their metrics, such as ``skate>0.003``.
-
-A report is one HTML file that needs no network.
-"""
+"""Report pages, and the limits of their metrics, such as ``skate>0.003``."""
 
 import base64
 import html
@@ -80,7 +77,7 @@ LIMITS = (
 def write_report(
     comparison: Comparison, path: AnyPath, gates: Sequence[Limit] = ()
 ) -> None:
-    """Write a self-contained report page, whole or not at all.
+    """Write a report page that needs no other file or network, whole or not at all.
 
     The table of metrics shows which of LIMITS fail, and which ``gates``, which replace
     those of the same metrics. Raises an InputError if the file cannot be written.
@@ -88,8 +85,7 @@ def write_report(
     gated = {gate.metric for gate in gates}
     limits = (*(limit for limit in LIMITS if limit.metric not in gated), *gates)
     contents = contents_of(comparison, limits)
-    scripts = [_TEMPLATE / f"{name}.js" for name in _SCRIPTS]
-    files = [_TEMPLATE / "page.html", *scripts]
+    files = [_TEMPLATE / "page.html", *(_TEMPLATE / f"{name}.js" for name in _SCRIPTS)]
     write_page(path, f"kinefilter: {contents['source']}", contents, files)
 
 

@@ -19,8 +19,8 @@ from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes import SCENES
 
 from .drawing import Drawing, StickFigure
-from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import add_batch, add_props, add_skin, cylinder, set_stage
+from .viewer_server import Action, ServedPage, table_html
 
 _SPEEDS = ("1", "0.5", "0.25", "0.1")
 _MAX_DELAY = 0.25  # s: a longer delay is skipped, not caught up
@@ -49,8 +49,7 @@ class Player(ServedPage):
         self._status_shown = self._busy = 0.0
         self._add_panel(server.gui)
         self._on(server.scene.on_click(), self._throw_at, whole=True)
-        shove = server.scene.on_click(modifier="shift")
-        self._on(shove, self._shove_at, whole=True)
+        self._on(server.scene.on_click(modifier="shift"), self._shove_at, whole=True)
         self._draw_scene()
 
     def run(self) -> None:
@@ -105,15 +104,14 @@ class Player(ServedPage):
         with server.atomic():
             server.scene.reset()
             set_stage(server, Drawing(playground.motion))
-            self._poses, self._place_grips = [], []
+            self._figures: list[tuple[Any, Any]] = []  # what poses skin and grips
             for number, motion in enumerate(playground.motions):
                 end = str(number + 1) if number else ""
                 _, pose = add_skin(server.scene, motion.body, f"/mesh{end}")
                 grips, place = _add_grips(server.scene, motion.body, f"/grips{end}")
                 drag = partial(self._drag, number=number)
                 self._on(grips.on_drag("left"), drag, whole=True)
-                self._poses.append(pose)
-                self._place_grips.append(place)
+                self._figures.append((pose, place))
             _, frames = add_props(server.scene, playground.props)
             names = [prop.name for prop in playground.props]
             by_name = dict(zip(names, frames, strict=True))
@@ -122,8 +120,8 @@ class Player(ServedPage):
     def _show(self) -> None:
         characters, things = self._playground.characters, self._playground.scene_props
         with self._server.atomic():
-            drawn = zip(characters, self._poses, self._place_grips, strict=True)
-            for character, pose, place_grips in drawn:
+            drawn = zip(characters, self._figures, strict=True)
+            for character, (pose, place_grips) in drawn:
                 positions = character.positions
                 pose(positions, character.rotations)
                 place_grips(positions)
@@ -134,8 +132,7 @@ class Player(ServedPage):
                 self._show_status()
 
     def _show_status(self) -> None:
-        playground = self._playground
-        recorded = playground.recording
+        playground, recorded = self._playground, self._playground.recording
         rows = [
             ("time", f"{playground.time:.1f} s"),
             ("character", playground.doing),
@@ -144,8 +141,9 @@ class Player(ServedPage):
         if recorded is not None:
             rows.append(("recorded", f"{recorded / RATE:.1f} s"))
         self._status.content = table_html(("opacity:0.6", *row) for row in rows)
+        limp = all(character.limp for character in self._acted_on)
         label = {
-            "Let go": "Take hold" if self._limp else "Let go",
+            "Let go": "Take hold" if limp else "Let go",
             "Pause": "Pause" if self._playing else "Resume",
             "Record": "Record" if recorded is None else "Stop recording",
         }
@@ -153,34 +151,31 @@ class Player(ServedPage):
             button.label = label.get(name, name)
 
     def _throw_at(self, event: viser.SceneClickEvent) -> None:
-        self._throw_from(event.ray_origin, np.array(event.ray_direction))
+        way = np.array(event.ray_direction)
+        self._playground.throw(event.ray_origin + _FROM_CAMERA * way, way)
 
     def _throw(self, event: Any) -> None:
-        way = self._way_to_chest(event)
-        self._throw_from(event.client.camera.position, way / np.linalg.norm(way))
-
-    def _throw_from(self, eye: Any, way: Array) -> None:
-        self._playground.throw(eye + _FROM_CAMERA * way, way)
+        *_, way = self._way_to_chest(event)
+        way /= np.linalg.norm(way)
+        self._playground.throw(event.client.camera.position + _FROM_CAMERA * way, way)
 
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
         hit = self._playground.hit_by(event.ray_origin, event.ray_direction)
         if hit is not None:
-            number, joint = hit
-            self._playground.shove(joint, event.ray_direction, number)
+            self._playground.shove(hit[1], event.ray_direction, hit[0])
 
     def _shove(self, event: Any) -> None:
-        number = self._number or 0
-        chest = self._playground.motions[number].skeleton.girdle
-        way = self._way_to_chest(event) * [1.0, 0.0, 1.0]
-        self._playground.shove(chest, way, number)
+        number, chest, way = self._way_to_chest(event)
+        self._playground.shove(chest, way * [1.0, 0.0, 1.0], number)
 
-    def _way_to_chest(self, event: Any) -> Any:
-        """Return the vector from the browser's camera to the chest [m], shape (3,)."""
+    def _way_to_chest(self, event: Any) -> tuple[int, int, Array]:
+        """Return who is acted on, the chest, and the way there from the camera [m]."""
         number = self._number or 0
         chest = self._playground.motions[number].skeleton.girdle
         camera = event.client.camera.position
         way = self._playground.characters[number].positions[chest] - camera
-        return way if np.linalg.norm(way[[0, 2]]) > 0.01 else np.array([0.0, 0, -1])
+        level = np.linalg.norm(way[[0, 2]])
+        return number, chest, way if level > 0.01 else np.array([0.0, 0.0, -1.0])
 
     def _drag(self, event: Any, number: int = 0) -> None:
         if event.phase == "end" or event.instance_index is None:
@@ -188,8 +183,7 @@ class Player(ServedPage):
             return
         segments = self._playground.motions[number].skeleton.segments
         joint = segments[event.instance_index]
-        start, end = event.start_position, event.end_position
-        self._playground.drag(joint, start, end, number)
+        self._playground.drag(joint, event.start_position, event.end_position, number)
 
     @property
     def _acted_on(self) -> Sequence[PulledCharacter]:
@@ -197,15 +191,10 @@ class Player(ServedPage):
         characters, number = self._playground.characters, self._number
         return characters if number is None else characters[number : number + 1]
 
-    @property
-    def _limp(self) -> bool:
-        """Whether nothing pulls the characters that the buttons act on."""
-        return all(character.limp for character in self._acted_on)
-
     def _let_go(self, _: object) -> None:
-        limp = not self._limp
+        limp = all(character.limp for character in self._acted_on)
         for character in self._acted_on:
-            character.limp = limp
+            character.limp = not limp
 
     def _choose(self, name: str) -> None:
         self._number = None if name == "all" else int(name) - 1
@@ -232,8 +221,7 @@ class Player(ServedPage):
         paths = next(r for r in recordings if not any(path.exists() for path in r))
         for clip, to in zip(clips, paths, strict=True):
             write_clip(clip, to)
-        written = ", ".join(map(str, paths))
-        self._report(f"wrote {written}, {clips[0].time[-1]:.1f} s")
+        self._report(f"wrote {', '.join(map(str, paths))}, {clips[0].time[-1]:.1f} s")
 
 
 def _add_grips(

@@ -8,8 +8,7 @@ from kinefilter.characters.arrays import Array, Flags, Indices, runs
 
 from .drawing import PHYSICS, Color, Drawing, StickFigure, reliability_colors
 
-AXES = ("x (left)", "y (up)", "z (forward)")
-"""The coordinates of a joint, in the clip's world frame."""
+AXES = ("x (left)", "y (up)", "z (forward)")  # of the clip's world frame
 
 _WIDTH = 600  # units of the pictures, roughly the pixels across a panel
 _HEIGHT = 150  # px, height of the curves
@@ -27,8 +26,8 @@ class Curves:
     """One coordinate of a joint in each figure of a drawing, and its reliability."""
 
     def __init__(self, drawing: Drawing, joint: str, axis: str) -> None:
-        get, self._count = drawing.figures.get, len(drawing.clip)
-        final = StickFigure(drawing.clip.skeleton, drawing.clip.positions, PHYSICS)
+        clip, get, self._count = drawing.clip, drawing.figures.get, len(drawing.clip)
+        final = StickFigure(clip.skeleton, clip.positions, PHYSICS)
         shown = {"raw": get("raw"), "clip": final, "other": get("other")}
         # The mean of the frames in each column, where there are too many to be seen.
         starts = _starts(self._count, _COLUMNS)
@@ -45,24 +44,19 @@ class Curves:
         self._low, self._high = low - room, high + room
         times = (starts + 0.5 * sizes) * _WIDTH / self._count
         lines = [self._line(times, *row) for row in rows.values()]
-        j = drawing.clip.skeleton.joints.index(joint)
-        rates = drawing.clip.reliability[starts, j]
+        rates = clip.reliability[starts, clip.skeleton.joints.index(joint)]
         self._picture = "".join(lines) + _strip(starts * _WIDTH / self._count, rates)
-        names = {name: f"rgb{color}" for name, (_, color) in rows.items()}
         self._legend = " ".join(
-            f'<span style="color:{color}">&#9632;</span> {name}'
-            for name, color in names.items()
+            f'<span style="color:rgb{color}">&#9632;</span> {name}'
+            for name, (_, color) in rows.items()
         )
 
     def _line(self, times: Array, values: Array, color: Color) -> str:
         heights = _HEIGHT * (self._high - values) / (self._high - self._low)
-        path, begins = [], True
-        for x, y in zip(times.tolist(), heights.tolist(), strict=True):
-            if np.isfinite(y):
-                path.append(f"{'M' if begins else 'L'}{x:.1f} {y:.1f}")
-            begins = not np.isfinite(y)
+        points = [f"{x:.1f} {y:.1f}" for x, y in zip(times, heights, strict=True)]
+        path = "".join("M" + "L".join(points[run]) for run in runs(np.isfinite(values)))
         return (
-            f'<path class="curve" d="{"".join(path)}" stroke="rgb{color}" fill="none" '
+            f'<path class="curve" d="{path}" stroke="rgb{color}" fill="none" '
             'stroke-width="1.5" vector-effect="non-scaling-stroke"/>'
         )
 

@@ -4,8 +4,9 @@ Videos are drawn in parts. Each is encoded separately and starts with a keyframe
 that parts from several processes can be joined in one file.
 """
 
+import io
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -28,7 +29,6 @@ Parts = Iterable[list[Coded]]
 _X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
 _LARGEST_RATE = 100_000  # denominator of a frame rate
 _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
-_STEP = Fraction(1, 1000)  # s; filters need a time base but only use the order
 
 
 def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Coded]:
@@ -36,7 +36,7 @@ def encode_video(pictures: Iterable[Pixels], size: Size, rate: float) -> list[Co
     codec = _x264(av.CodecContext.create("libx264", "w"), size, rate)
     packets = []
     for number, picture in enumerate(pictures):
-        packets += codec.encode(_frame(picture, number, codec.time_base))
+        packets += codec.encode(_frame(picture, number, codec))
     packets += codec.encode(None)
     return [(bytes(packet), packet.is_keyframe) for packet in packets]
 
@@ -59,9 +59,9 @@ def write_gif(parts: Parts, path: Path, size: Size, rate: float) -> None:
     pictures = [data for part in parts for data, _ in part]
     # One palette for all pictures keeps the floor from flickering, and so does ordered
     # dither: error diffusion would change the whole floor in every frame.
-    (palette,) = _filtered(pictures, size, "palettegen", "reserve_transparent=0")
+    (palette,) = _filtered(pictures, "palettegen", "reserve_transparent=0")
     dither = "dither=bayer:bayer_scale=5"
-    frames = _filtered(pictures, size, "paletteuse", dither, palette)
+    frames = _filtered(pictures, "paletteuse", dither, palette)
     with _media_file(path, {"loop": "0"}) as file:
         stream = file.add_stream("gif", rate=_fraction(rate))
         stream.width, stream.height = size
@@ -80,7 +80,7 @@ def encode_png(picture: Pixels) -> bytes:
     codec.height, codec.width = picture.shape[:2]
     codec.pix_fmt, codec.time_base = "rgb24", Fraction(1, 30)
     codec.options = {"compression_level": "4", "pred": "up"}
-    packets = codec.encode(_frame(picture, 0, codec.time_base)) + codec.encode(None)
+    packets = codec.encode(_frame(picture, 0, codec)) + codec.encode(None)
     return b"".join(bytes(packet) for packet in packets)
 
 
@@ -97,9 +97,9 @@ def _x264(codec: Any, size: Size, rate: float) -> Any:
     return codec
 
 
-def _frame(picture: Pixels, number: int, step: Fraction) -> Any:
+def _frame(picture: Pixels, number: int, codec: Any) -> Any:
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture))
-    frame.pts, frame.time_base = number, step
+    frame.pts, frame.time_base = number, codec.time_base
     return frame
 
 
@@ -120,31 +120,24 @@ def _media_file(path: Path, options: dict[str, str]) -> Iterator[Any]:
 
 
 def _filtered(
-    pictures: Sequence[bytes], size: Size, name: str, options: str, palette: Any = None
+    pictures: Sequence[bytes], name: str, options: str, palette: Any = None
 ) -> Iterator[Any]:
     """Yield the frames a filter makes from PNG pictures and, for some, a palette."""
     graph: Any = av.filter.Graph()
     node, sink = graph.add(name, options), graph.add("buffersink")
-    layout = av.VideoFormat("rgb24")
-    source = graph.add_buffer(None, *size, layout, time_base=_STEP)
-    graph.link_nodes(source, node, sink)
-    if palette is not None:
-        palette.pts, palette.time_base = 0, _STEP
-        colors = graph.add_buffer(palette, time_base=_STEP)
-        colors.link_to(node, 0, 1)
-    graph.configure()
-    if palette is not None:
-        colors.push(palette)
-        colors.push(None)
-    for number, data in enumerate([*pictures, None]):
-        frame = None
-        if data is not None:
-            codec: Any = av.CodecContext.create("png", "r")
-            (frame,) = codec.decode(av.Packet(data)) + codec.decode(None)
-            frame = _frame(frame.to_ndarray(format="rgb24"), number, _STEP)
-        source.push(frame)
-        while True:
-            try:
-                yield sink.pull()
-            except (av.BlockingIOError, av.EOFError):
-                break
+    with av.open(io.BytesIO(b"".join(pictures)), "r", format="png_pipe") as file:
+        source = graph.add_buffer(file.streams.video[0])
+        graph.link_nodes(source, node, sink)
+        if palette is not None:
+            palette.pts = 0
+            colors = graph.add_buffer(palette, time_base=palette.time_base)
+            colors.link_to(node, 0, 1)
+        graph.configure()
+        if palette is not None:
+            colors.push(palette)
+            colors.push(None)
+        for frame in chain(file.decode(video=0), [None]):
+            source.push(frame)
+            with suppress(av.BlockingIOError, av.EOFError):
+                while True:
+                    yield sink.pull()

@@ -16,7 +16,7 @@ from kinefilter.characters.rotations import matrix_from_wxyz
 from kinefilter.characters.skin import seams_of, skin_of
 
 from .cameras import CameraPath
-from .drawing import Drawing, segment_starts
+from .drawing import Drawing
 from .video_files import Pixels
 
 _FLOOR_GROUP = 1  # of the geoms (stage.xml) that do not change while the camera stays
@@ -64,9 +64,7 @@ class ClipModel:
             pos=middle - _LIGHT_AWAY * away,  # shadows fall around where it aims
             dir=away,
             diffuse=[0.45] * 3,
-            ambient=[0.0] * 3,
             specular=[0.12] * 3,
-            castshadow=True,
         )
         skin = _add_character(spec, clip.body, _TRANSLUCENT if translucent else 1.0)
         if seams:
@@ -79,18 +77,18 @@ class ClipModel:
             spec.worldbody.add_geom(name=name, size=[0.01, 0.01, 0.01])
         self.model = model = spec.compile()
         self.data = mujoco.MjData(model)
-        count, positions = len(clip), clip.positions[:, segment_starts(clip.skeleton)]
+        starts = np.maximum(clip.skeleton.parents, 0)  # of the segments
+        count, positions = len(clip), clip.positions[:, starts]
         places = [np.broadcast_to(p.positions, (count, 3))[:, None] for p in clip.props]
         self._positions = to_mujoco(np.concatenate([positions, *places], axis=1))
         turns = [np.broadcast_to(p.rotations, (count, 4))[:, None] for p in clip.props]
         self._rotations = to_mujoco(np.concatenate([clip.rotations, *turns], axis=1))
-        if self._raw is not None:
-            ids = [model.geom(name).id for name in names]
-            self._joints, self._bones = np.split(np.array(ids), [len(clip.skeleton)])
-            model.geom_type[self._bones] = mujoco.mjtGeom.mjGEOM_CAPSULE
-            model.geom_size[self._joints] = _JOINT
-            model.geom_size[self._bones, 0] = _BONE
-            model.geom_rgba[self._bones, :3] = _BONE_COLOR
+        ids = np.array([model.geom(name).id for name in names], dtype=np.intp)
+        self._joints, self._bones = np.split(ids, [len(clip.skeleton)])
+        model.geom_type[self._bones] = mujoco.mjtGeom.mjGEOM_CAPSULE
+        model.geom_size[self._joints] = _JOINT
+        model.geom_size[self._bones, 0] = _BONE
+        model.geom_rgba[self._bones, :3] = _BONE_COLOR
 
     def pose(self, frame: int) -> None:
         """Move everything to where it is in a frame of the clip."""
@@ -131,10 +129,8 @@ class OffscreenRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._buffer)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._view = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE_GEOMS)
-        flags = self._view.flags
-        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
-        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
+        self._view.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        self._view.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         self._camera = mujoco.MjvCamera()
         model.vis.global_.fovy = camera.fov
         opaque = bool((model.skin_rgba[:, 3] == 1.0).all())
@@ -152,10 +148,7 @@ class OffscreenRenderer:
             return self._draw(floor=True, rest=True)[0][::-1]
         behind, depths = self._background
         pixels, depth = self._draw(floor=False, rest=True)
-        nearer = depth < depths
-        picture = behind.copy()
-        picture[nearer] = pixels[nearer]
-        return picture[::-1]
+        return np.where((depth < depths)[..., None], pixels, behind)[::-1]
 
     def close(self) -> None:
         """Release OpenGL's resources."""
@@ -174,9 +167,8 @@ class OffscreenRenderer:
     def _draw(self, *, floor: bool, rest: bool) -> tuple[Pixels, Singles]:
         """Return colors and, unless all is drawn, depths, from the lowest row up."""
         options: Any = mujoco.MjvOption()
-        options.geomgroup[:] = rest
+        options.geomgroup[:] = options.skingroup[:] = rest
         options.geomgroup[_FLOOR_GROUP] = floor
-        options.skingroup[:] = rest
         self._view.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = floor
         model, data, view = self._clip_model.model, self._clip_model.data, self._view
         # Otherwise the scene's light and floor follow the previous camera.
@@ -200,7 +192,7 @@ def figure_names(skeleton: Skeleton) -> list[str]:
 
 def _add_character(spec: mujoco.MjSpec, body: Body, opacity: float) -> mujoco.MjsSkin:
     skeleton = body.skeleton
-    starts = to_mujoco(body.rest_positions)[segment_starts(skeleton)]
+    starts = to_mujoco(body.rest_positions)[np.maximum(skeleton.parents, 0)]
     for joint, start in zip(skeleton.joints, starts, strict=True):
         spec.worldbody.add_body(name=f"segment:{joint}", mocap=True, pos=start)
     skin = skin_of(body)

@@ -57,11 +57,9 @@ class Backend:
 def find_backend() -> Backend:
     """Return the OpenGL that MUJOCO_GL names or, if unset, the first that works.
 
-    EGL and OSMesa are tried; on Windows WGL, on macOS CGL. If none works, an InputError
-    says what to install.
+    If none works, an InputError says what to install.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    reasons = []
+    wanted, reasons = os.environ.get("MUJOCO_GL", "").strip().lower(), []
     for name in (wanted,) if wanted else _NAMES:
         if isinstance(result := _try(name), Backend):
             return result

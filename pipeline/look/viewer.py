@@ -19,13 +19,12 @@ from .drawing import Drawing, Sensor
 from .edit_history import EditHistory
 from .playhead import Playback
 from .timelines import AXES, Curves, timeline_html
-from .viewer_page import Action, ServedPage, table_html
 from .viewer_scene import ViewerScene
+from .viewer_server import Action, ServedPage, table_html
 
-CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]
-"""Cleans the take again with edits; returns the new drawing."""
+CleanAgain = Callable[[Sequence[Edit], Progress], Drawing]  # cleans with other edits
 
-_STEPS = {"-10": -10, "-1": -1, "+1": 1, "+10": 10}  # frames, by button
+_STEPS = ("-10", "-1", "+1", "+10")  # frames
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _BESIDE = "raw alongside"  # checkbox: the raw take is beside the character
 _SHADOWS = "shadows"  # checkbox: without a GPU, shadows are half of the work
@@ -67,8 +66,7 @@ class Viewer(ServedPage):
         self._pin: Any = None
         self._add_panel(server.gui, drawing)
         self._look_at(drawing)
-        count = len(self._edits.edits)
-        self._report(f"{count or 'no'} edits in {save.name}")
+        self._report(f"{len(self._edits.edits) or 'no'} edits in {save.name}")
 
     def run(self) -> int | None:
         """Play and serve the requests of the page until ``stop`` is called.
@@ -114,7 +112,8 @@ class Viewer(ServedPage):
         for key, (label, action) in keys.items():
             self._on(gui.add_command(label, hotkey=key).on_trigger, action)
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
-        self._on(speed.on_update, self._set_speed)
+        faster = self._playback.change_speed
+        self._on(speed.on_update, lambda x: faster(float(x), perf_counter()))
         doubt = gui.add_button("Next doubtful stretch", hint="key N")
         self._on(doubt.on_click, self._go_to_doubt)
         with gui.add_folder("Edits"):
@@ -131,8 +130,7 @@ class Viewer(ServedPage):
             names = ("remove", "undo", "redo")
             add_buttons("change", names, self._change, "keys U and R")
             self._on(gui.add_button("Save edits").on_click, self._save)
-            possible = self._again is not None
-            again = gui.add_button("Save and clean again", visible=possible)
+            again = gui.add_button("Save and clean again", visible=bool(self._again))
             self._on(again.on_click, self._clean_again)
             self._message = gui.add_html("")
             self._busy: Any = gui.add_progress_bar(0.0, visible=False, animated=True)
@@ -159,25 +157,22 @@ class Viewer(ServedPage):
         self._chosen = self._listed.index(name)
 
     def _look_at(self, drawing: Drawing) -> None:
-        self._clip, self._sensors = drawing.clip, drawing.sensors
-        self._drawing = drawing
+        self._drawing, self._clip = drawing, drawing.clip
         self._choose_curves()
         with self._server.atomic():
             self._scene = ViewerScene(self._server, drawing, self._edits)
         self._pin = None  # removed with the old scene
         self._edits.look_at(drawing.clip)
-        self._doubtful = drawing.doubtful
         self._show_edits()
         self._choose_layers()
 
     def _show(self) -> None:
-        frame = self._playback.frame(perf_counter())
-        playing = self._playback.playing
+        frame, playing = self._playback.frame(perf_counter()), self._playback.playing
         with self._server.atomic():
             self._scene.show(frame)
             if self._requests.empty():  # a slider being dragged would jump back
                 self._frame.value = frame + 1
-            self._status.content = status_html(self._clip, frame, self._sensors)
+            self._status.content = status_html(self._clip, frame, self._drawing.sensors)
             rows = dict(zip(_ROWS, self._edits.contacts.T, strict=True))
             rows |= {"edited": self._edits.edited, "doubtful": self._doubts}
             self._timeline.content = timeline_html(rows, frame, self._first_and_last)
@@ -191,7 +186,7 @@ class Viewer(ServedPage):
     @property
     def _doubts(self) -> Flags:
         """Doubtful frames that no edit covers yet, shape (T,)."""
-        return np.asarray(self._doubtful & ~self._edits.edited)
+        return np.asarray(self._drawing.doubtful & ~self._edits.edited)
 
     @property
     def _first_and_last(self) -> tuple[int, int]:
@@ -204,10 +199,7 @@ class Viewer(ServedPage):
         (playback.pause if playback.playing else playback.play)(perf_counter())
 
     def _step(self, button: str) -> None:
-        self._playback.seek(self._playback.frame(perf_counter()) + _STEPS[button])
-
-    def _set_speed(self, speed: str) -> None:
-        self._playback.change_speed(float(speed), perf_counter())
+        self._playback.seek(self._playback.frame(perf_counter()) + int(button))
 
     def _choose_curves(self, _: object = None) -> None:
         self._curves = Curves(self._drawing, self._curve.value, self._axis.value)
@@ -335,12 +327,10 @@ def status_html(clip: Clip, frame: int, sensors: Sequence[Sensor] = ()) -> str:
         rows.append(("external force", f"{force:.2f} body weights"))
     styled = [("opacity:0.6", *row) for row in rows]
     for sensor in sensors:
-        distances = sensor.residuals[frame]
-        seen = np.isfinite(distances)
-        text = "sees no one"
-        if seen.any():
+        distances, text = sensor.residuals[frame], "sees no one"
+        if np.isfinite(distances).any():
             text = f"share {sensor.shares[frame].mean():.0%}, "
-            text += f"{np.median(distances[seen]) * 100.0:.1f} cm from merged"
+            text += f"{np.nanmedian(distances) * 100.0:.1f} cm from merged"
         style = f"font-weight:600;color:rgb{sensor.color};overflow-wrap:anywhere"
         styled.append((style, sensor.name, text))
     return table_html(styled)

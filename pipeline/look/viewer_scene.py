@@ -16,11 +16,10 @@ from kinefilter.characters.skin import skin_of
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_over, camera_path
-from .drawing import Color, Drawing, Sensor, StickFigure, left_of, segment_starts
+from .drawing import Color, Drawing, Sensor, StickFigure, left_of
 from .edit_history import EditHistory
 
-Layer = tuple[Any, Callable[[int], None]]
-"""What is shown or hidden together, and a function that moves it to a frame."""
+Layer = tuple[Any, Callable[[int], None]]  # what is shown, and what moves it to a frame
 
 _JOINT, _BONE = 0.026, 0.011  # m, radii of stick figures
 _BONE_COLOR = (82, 84, 94)
@@ -123,17 +122,12 @@ def _add_sticks(scene: viser.SceneApi, name: str, figure: StickFigure) -> Layer:
 def _add_frusta(scene: viser.SceneApi, sensors: Sequence[Sensor]) -> None:
     """Add frusta to the sensors' figures, and their names below, one under another."""
     for k, sensor in enumerate(sensors):
-        foot = sensor.edges[-1, 1]
+        name, edges, foot = sensor.name, sensor.edges, sensor.edges[-1, 1]
         away = [np.linalg.norm(foot - other.edges[-1, 1]) for other in sensors[:k]]
-        scene.add_line_segments(
-            f"/{sensor.name}/frustum", sensor.edges, sensor.color, thickness=_EDGE
-        )
-        scene.add_label(
-            f"/{sensor.name}/name",
-            sensor.name,
-            position=foot - [0.0, _NAME * sum(a < _TOGETHER for a in away), 0.0],
-            anchor="top-center",
-        )
+        place = foot - [0.0, _NAME * sum(a < _TOGETHER for a in away), 0.0]
+        frustum = f"/{name}/frustum"
+        scene.add_line_segments(frustum, edges, sensor.color, thickness=_EDGE)
+        scene.add_label(f"/{name}/name", name, position=place, anchor="top-center")
 
 
 def add_skin(
@@ -143,7 +137,7 @@ def add_skin(
 
     It takes joint positions [m] (J, 3) and rotations, quaternions wxyz (J, 4).
     """
-    starts, joints = segment_starts(body.skeleton), len(body.skeleton)
+    starts, joints = np.maximum(body.skeleton.parents, 0), len(body.skeleton)
     skin = skin_of(body)
     weights = np.zeros((len(skin.points), joints))
     np.put_along_axis(weights, skin.segments, skin.weights, axis=1)
@@ -159,8 +153,7 @@ def add_skin(
 
     def pose(positions: Array, rotations: Array) -> None:
         for joint, bone in enumerate(mesh.bones):
-            bone.position = positions[starts[joint]]
-            bone.wxyz = rotations[joint]
+            bone.position, bone.wxyz = positions[starts[joint]], rotations[joint]
 
     return mesh, pose
 
@@ -183,9 +176,8 @@ def add_props(
     group = scene.add_frame("/props", show_axes=False)
     frames = []
     for n, prop in enumerate(props):
-        frame = scene.add_frame(f"/props/{n}", show_axes=False)
-        frame.position, frame.wxyz = prop.positions[0], prop.rotations[0]
-        frames.append(frame)
+        frames.append(scene.add_frame(f"/props/{n}", show_axes=False))
+        frames[n].position, frames[n].wxyz = prop.positions[0], prop.rotations[0]
         for k, shape in enumerate(prop.shapes):
             mesh = shape.surface()
             scene.add_mesh_simple(
@@ -235,8 +227,6 @@ def set_stage(
         _FLOOR,
         _FLOOR,
         plane="xz",
-        cell_size=0.5,
-        section_size=1.0,
         cell_color=(205, 207, 211),
         section_color=(170, 173, 180),
         infinite_grid=True,
