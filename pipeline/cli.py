@@ -6,12 +6,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import reduce
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
-from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 from tyro.conf import subcommand
@@ -123,7 +121,7 @@ def _read(words: Sequence[str]) -> Any:
             kind = _command(name)
             summary = (kind.__doc__ or "").split("\n")[0]
             listed.append(Annotated[kind, subcommand(name, description=summary)])
-        union: Any = reduce(or_, listed)
+        union: Any = Union[tuple(listed)]  # noqa: UP007
         return tyro.cli(
             union, prog="kinefilter", description=_ABOUT, args=words, config=_CONFIG
         )

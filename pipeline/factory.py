@@ -20,9 +20,7 @@ def make_corrector(
 ) -> Corrector:
     """Return the correction method of a config for a skeleton.
 
-    The default removes the typical errors of a Kinect's tracker, and then applies local
-    PCA; for joints from other trackers (not ``by_kinect``) it is local PCA alone.
-
+    The default for joints from other trackers (not ``by_kinect``) is local PCA alone.
     Raises an InputError if the database or model is missing or for another skeleton.
     """
     if config.model is not None:

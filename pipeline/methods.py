@@ -13,14 +13,13 @@ from typing import Any, Literal, TypeAlias
 class Method:
     """The location of a correction method, and what it is constructed from."""
 
-    where: str
-    """``module:name`` below ``kinefilter.pipeline``."""
+    where: str  # ``module:name`` below ``kinefilter.pipeline``
     requires: Literal["skeleton", "database", "pairs"]
     """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
-    options: tuple[str, ...] = ()
-    """Fields of ``CleanConfig`` that its constructor also takes."""
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    """Keywords of its constructor that have other defaults here."""
+    options: tuple[str, ...] = ()  # fields of ``CleanConfig`` that it also takes
+    constants: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # its other defaults
 
     def load(self) -> Any:
         """Import and return the method's class or factory."""

@@ -22,8 +22,7 @@ from kinefilter.pipeline.target.support import unexplained
 
 SKATE_HEIGHT = 0.05
 """Height [m] above its standing height under which a foot joint should not slide."""
-SKATE_SPEED = 0.2
-"""Speed [m/s] above which a foot on the floor visibly skates."""
+SKATE_SPEED = 0.2  # speed [m/s] above which a foot on the floor visibly skates
 
 _SHORTEST_FLIGHT = 5  # frames to fit a parabola to
 

@@ -20,10 +20,8 @@ from .formats.recording import FARTHEST
 class PairedTake:
     """A take and the simultaneous marker mocap of its frames, the ground truth."""
 
-    take: Take
-    """The recording."""
-    truth: Array
-    """Mocap joint positions [m], the take's frame, NaN where missing, (T, J, 3)."""
+    take: Take  # the recording
+    truth: Array  # mocap joints [m], the take's frame, NaN where missing, (T, J, 3)
     subject: str
     clip: str
 

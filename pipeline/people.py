@@ -45,23 +45,17 @@ _MOST = 1000  # cuts; assigning the pieces of more takes too long
 class Track(NamedTuple):
     """The frames that a sensor's tracker takes for one person."""
 
-    time: Array
-    """Time stamps [s], never decreasing, (T,)."""
-    positions: Array
-    """Joints [m], y up, in the frame of all tracks, NaN where missing, (T, J, 3)."""
-    skeleton: Skeleton
-    """The joints."""
-    sensor: int = 0
-    """Number of the sensor."""
+    time: Array  # time stamps [s], never decreasing, (T,)
+    positions: Array  # joints [m], y up, frame of all tracks, or NaN, (T, J, 3)
+    skeleton: Skeleton  # the joints
+    sensor: int = 0  # number of the sensor
 
 
 class Part(NamedTuple):
     """Frames of a track that show one person."""
 
-    track: int
-    """Number of the track, from 0."""
-    rows: Indices
-    """The frames, in order."""
+    track: int  # number of the track, from 0
+    rows: Indices  # the frames, in order
 
 
 def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
@@ -75,7 +69,7 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     pieces, separable = _pieces(tracks)
     if not separable:
         return [[Part(piece.track, piece.rows)] for piece in pieces]
-    left = sorted(pieces, key=lambda piece: piece.start)
+    left = sorted(pieces, key=lambda piece: piece.time[0])
     people: list[list[_Piece]] = []
     while left:
         group = _beginning(left)
@@ -104,14 +98,6 @@ class _Piece:
     lengths: Array  # of segments [m], (K,)
     first: tuple[Array, Array]  # place [m], and velocity [m/s] or NaN, at its beginning
     last: tuple[Array, Array]  # the same at its end
-
-    @property
-    def start(self) -> float:
-        return float(self.time[0])
-
-    @property
-    def end(self) -> float:
-        return float(self.time[-1])
 
 
 def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
@@ -202,7 +188,7 @@ def _beginning(left: Sequence[_Piece]) -> list[_Piece]:
 
 
 def _overlap(one: _Piece, other: _Piece) -> bool:
-    return one.start <= other.end and other.start <= one.end
+    return bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
 
 
 def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
@@ -217,11 +203,11 @@ def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
         if distance > _APART:
             return _IMPOSSIBLE
         return cost + 0.5 * (distance / _ACROSS) ** 2 + 2.0 * float(np.log(_ACROSS))
-    before = [other for other in person if other.end < piece.start]
+    before = [other for other in person if other.time[-1] < piece.time[0]]
     if not before:
         return _IMPOSSIBLE
-    last = max(before, key=lambda other: other.end)
-    gap = piece.start - last.end
+    last = max(before, key=lambda other: other.time[-1])
+    gap = float(piece.time[0] - last.time[-1])
     (place, velocity), (there, next_velocity) = last.last, piece.first
     # Over a short gap the person moves at the mean velocity; a long one tells nothing.
     velocities = np.array([velocity, next_velocity])
@@ -238,7 +224,7 @@ def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
 
 def _distances(piece: _Piece, other: _Piece) -> Array:
     """Return distances [m] of the places of two sensors at the same times."""
-    inside = (piece.time >= other.start) & (piece.time <= other.end)
+    inside = (piece.time >= other.time[0]) & (piece.time <= other.time[-1])
     there = [np.interp(piece.time[inside], other.time, x) for x in other.places.T]
     return np.asarray(np.hypot(*(piece.places[inside].T - there)))
 
@@ -253,7 +239,7 @@ def _cost_of_lengths(person: Sequence[_Piece], piece: _Piece) -> float:
     weights = np.where(np.isnan(lengths), 0.0, counts[:, None])
     total = weights.sum(axis=0)
     mean = (weights * np.nan_to_num(lengths)).sum(axis=0) / np.maximum(total, 1.0)
-    seconds = [max(sum(p.end - p.start for p in some), 0.1) for some in (own, [piece])]
+    seconds = [max(sum(np.ptp(p.time) for p in some), 0.1) for some in (own, [piece])]
     variance = _DEVIATIONS**2 * (1.0 + sum(_BRIEF / s for s in seconds))
     off = np.where(total > 0.0, (piece.lengths - mean) ** 2 / variance, 0.0)
     return 0.5 * float(np.nansum(off)) / _TOGETHER

@@ -1,21 +1,16 @@
 """Cleaning one take of a batch again, with edits made since."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.settings import (
-    Settings,
-    fingerprint,
-    hash_of,
-    overlaid,
-    settings_in,
-)
+from kinefilter.pipeline.settings import Settings, fingerprint, overlaid, settings_in
 
 from .manifest import Row, open_manifest, write_csv
-from .plan import Job, with_edits
-from .sessions import Session, Source
-from .store import canonical, store_at
+from .plan import Job, find_sources, with_edits
+from .sessions import Session
+from .store import store_at
 from .task import clean_file
 
 _BATCH = "run 'kinefilter batch' again"
@@ -46,7 +41,7 @@ def clean_again(row: Row, out: Path, takes: Sequence[Path]) -> Row:
     with open_manifest(store) as manifest:
         for clip in row.clips:
             path = out / clip.output
-            if path.exists() and hash_of(path) != clip.sha256:
+            if path.exists() and store.sha256(clip.output) != clip.sha256:
                 raise InputError(
                     f"{path}: was changed since the batch wrote it; move it away to "
                     "clean its take again"
@@ -68,7 +63,10 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
         raise InputError(
             f"{row.take}: not found; give the folder of the takes with --take"
         )
-    if row.sha256 != " ".join(map(hash_of, takes)):
+    found = zip(find_sources([*map(str, takes)], str(out)), _names(row), strict=True)
+    sources = tuple(replace(source, take=name) for source, name in found)
+    hashes = (source.store.sha256(source.file.name) for source in sources)
+    if row.sha256 != " ".join(hashes):
         raise InputError(
             f"{takes[0]}: is not the take that the clip was made from, or was changed; "
             f"{_BATCH}"
@@ -85,13 +83,8 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
             f"{row.take}: its batch had another version of kinefilter, options that it "
             f"did not record, or files that changed since; {_BATCH}"
         )
-    sources = [
-        Source(name, store_at(str(path.parent)), canonical(str(path)), file, named=True)
-        for name, path in zip(_names(row), takes, strict=True)
-        if (file := store_at(str(path.parent)).find(path.name))
-    ]
     sensors = tuple(str(sensor["sensor"]) for sensor in row.sensors)
-    session = with_edits(Session(row.take, tuple(sources), sensors, settings))
+    session = with_edits(Session(row.take, sources, sensors, settings))
     hashed = fingerprint(session.settings, suffix)
     return Job(*session, store_at(str(out)), row.output, hashed)
 

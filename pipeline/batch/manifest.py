@@ -91,11 +91,9 @@ class Row:
         try:
             # Rows of older versions lack damage, sensors and options.
             for clip in values["clips"]:
-                for key in ("notes", "damage"):
-                    clip[key] = tuple(clip.get(key, ()))
+                clip |= {key: tuple(clip.get(key, ())) for key in ("notes", "damage")}
             values["clips"] = tuple(ClipRow(**clip) for clip in values["clips"])
             values["sensors"] = tuple(values.get("sensors", ()))
-            values["options"] = dict(values.get("options", {}))
             return cls(**values)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None

@@ -167,10 +167,9 @@ class Job:
     @property
     def size(self) -> int:
         """Approximate size of the take as text [bytes], to estimate its duration."""
-        return 1 + sum(
-            file.size * (_COMPRESSION if file.name.lower().endswith(".gz") else 1)
-            for file in (source.file for source in self.sources)
-        )
+        files = [source.file for source in self.sources]
+        packed = sum(file.size for file in files if file.name.lower().endswith(".gz"))
+        return 1 + sum(file.size for file in files) + (_COMPRESSION - 1) * packed
 
     @property
     def stamp(self) -> str:
@@ -244,20 +243,17 @@ def plan_jobs(
         place = store.path(name)
         relative_to = Path(place).parent if store.is_local else None
         found = overlaid(above, parse_settings(text, place, relative_to), given)
-        of_folders[place] = found
-        return found
-
-    of_folders: dict[str, Settings] = {}
-    chosen = [
-        settings_of(source.store, PurePosixPath(source.file.name).parent)
-        for source in sources
-    ]
-    _check(settings, out, suffix)
-    for place, found in of_folders.items():
         try:
             _check(found, out, suffix)
         except InputError as error:
             raise InputError(f"{place}: {error}") from None
+        return found
+
+    _check(settings, out, suffix)
+    chosen = [
+        settings_of(source.store, PurePosixPath(source.file.name).parent)
+        for source in sources
+    ]
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]

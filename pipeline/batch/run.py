@@ -75,13 +75,9 @@ def clean_files(
     After a KeyboardInterrupt, both are up to date.
 
     ``inputs`` are takes and folders to search for takes; these and ``out`` may be URLs.
-    ``suffix`` is the extension of the clips. ``kinefilter.toml`` in the takes' folders
-    overrides ``settings``, except for those named in ``given``. With ``sessions`` among
-    the settings, takes of several sensors become one clip (see ``find_sessions``).
-    Cleaning runs in ``jobs`` processes, by default one per core, or on the workers of a
-    Dask ``scheduler``. A take fails after ``take_timeout`` seconds, by default one hour
-    plus one minute per megabyte. ``on_progress`` is called at the start, after every
-    take, and while there are no workers.
+    ``suffix`` is the extension of the clips; ``plan_jobs`` describes ``settings`` and
+    ``given``, and the command ``Batch`` the rest. ``on_progress`` is called at the
+    start, after every take, and while there are no workers.
 
     Raises InputError if the request is impossible or the manifest cannot be written. A
     faulty take raises nothing; its row in the outcome has the error.

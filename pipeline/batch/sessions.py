@@ -2,9 +2,7 @@
 
 With the pattern ``{name}_{sensor}.csv*``, takes whose names differ only in ``{sensor}``
 form a session; ``*`` and ``?`` match as in a shell. A pattern matches the end of a
-path: ``{name}/{sensor}.csv`` stands for one folder per session, ``{sensor}/{name}.csv``
-for one per sensor. ``{sensor}`` matches as little as possible, or one of the given
-names.
+path, and ``{sensor}`` as little as possible, or one of the given names.
 """
 
 import re

@@ -1,8 +1,4 @@
-"""The work of one worker of a batch: from a take's file to its clips.
-
-Workers keep cleaners, with their databases and models, for later takes; correctors are
-reset for each take.
-"""
+"""The work of one worker of a batch: from a take's file to its clips."""
 
 import sys
 from collections.abc import Iterator, Sequence

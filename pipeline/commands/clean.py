@@ -141,25 +141,21 @@ class Clean:
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError if an output cannot be written or is also an input."""
-        if self.one_file:
-            self._check_one_file()
-        check_writable(self.out, self.settings.export)
-        check_output(self.report, suffix=".html")
-        written = (self.out, self.json, self.save_contacts, self.report)
-        check_outputs(written, *used)
-
-    def _check_one_file(self) -> None:
-        """Raise an InputError for options that do not combine with --one-file."""
         settings, export = self.settings, self.settings.export
         alone = {
             "--begin, --end and --loop": export.begin or export.end or export.loop,
             "--gaps split": settings.config.gaps == "split",
         }
         for what, given in alone.items():
-            if given:
+            if self.one_file and given:
                 raise InputError(f"{what} cannot be combined with --one-file")
-        if settings.body != "all" or self.out.suffix.lower() != ".glb":
+        one_glb = settings.body == "all" and self.out.suffix.lower() == ".glb"
+        if self.one_file and not one_glb:
             raise InputError("--one-file requires --body all and a .glb clip")
+        check_writable(self.out, export)
+        check_output(self.report, suffix=".html")
+        written = (self.out, self.json, self.save_contacts, self.report)
+        check_outputs(written, *used)
 
     def _cleaned(
         self, recordings: list[Recording]

@@ -29,8 +29,7 @@ class Merged:
     reliability: Array  # mean over the sensors that count, shape (T, J)
     shares: Array  # of each sensor in each joint, adding up to 1 or 0, (T, S, J)
     swapped: Flags  # which sensors had left and right swapped, shape (T, S)
-    seen: tuple[Array, ...]
-    """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
+    seen: tuple[Array, ...]  # each sensor's joints [m] in the take's frame, (T, J, 3)
     alignments: tuple[Alignment, ...]  # of the second sensor, the third and so on
     takes: tuple[Take, ...]  # one per sensor, with gross failures repaired
     notes: tuple[str, ...] = ()  # what users should know about who is who
@@ -64,11 +63,8 @@ class Merged:
                     "apart_meters": float(apart[k]),
                 }
             )
-        return {
-            "frames": len(self.take),
-            "sensors": rows,
-            "notes": list(self.all_notes()),
-        }
+        notes = list(self.all_notes())
+        return {"frames": len(self.take), "sensors": rows, "notes": notes}
 
     def all_notes(self) -> Iterator[str]:
         """Yield what is uncertain, and what to do about it."""
@@ -144,15 +140,10 @@ def fuse(
     positions, state, reliability, shares, swapped = arrays
     source = " + ".join(take.source for take in takes)
     by_kinect = any(take.by_kinect for take in takes)
-    return Merged(
-        Take(time, positions, state, skeleton, source, by_kinect),
-        reliability,
-        shares,
-        swapped,
-        tuple(np.array([sight.positions for sight in column]) for column in columns),
-        tuple(alignments),
-        tuple(takes),
-    )
+    take = Take(time, positions, state, skeleton, source, by_kinect)
+    seen = (np.array([sight.positions for sight in column]) for column in columns)
+    known = (tuple(alignments), tuple(takes))
+    return Merged(take, reliability, shares, swapped, tuple(seen), *known)
 
 
 def _frame_times(stamps: Sequence[Array]) -> Array:
