@@ -114,8 +114,9 @@ def _read(words: Sequence[str]) -> Any:
     with _paragraphs_joined():
         if words and words[0] in COMMANDS:
             prog = f"kinefilter {words[0]}"
-            command = _command(words[0])
-            return tyro.cli(command, prog=prog, args=words[1:], config=_CONFIG)
+            return tyro.cli(
+                _command(words[0]), prog=prog, args=words[1:], config=_CONFIG
+            )
         listed = []
         for name in COMMANDS:
             kind = _command(name)

@@ -142,9 +142,8 @@ class CleanConfig:
             if isinstance(value, int | float) and not isinstance(value, bool):
                 least = int(isinstance(value, int) and name != "seed")
                 if not least <= value <= _MOST:
-                    raise InputError(
-                        f"--set {name}={value}: expected {least} to {_MOST}"
-                    )
+                    wrong = f"expected {least} to {_MOST}"
+                    raise InputError(f"--set {name}={value}: {wrong}")
             group[1][name] = value
         found.method.update(found.given)
         return found

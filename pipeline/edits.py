@@ -226,13 +226,11 @@ def check_edits(take: Take, edits: Sequence[Edit]) -> None:
         known = (*(() if edit.kind == "pin" else LIMBS), *take.skeleton.joints)
         for name in edit.joints:
             if name not in known:
-                raise InputError(
-                    f"{where}: unknown joint {shown(name)}; known: {', '.join(known)}"
-                )
+                hint = f"known: {', '.join(known)}"
+                raise InputError(f"{where}: unknown joint {shown(name)}; {hint}")
         if not frames.any() or edit.begin > since[-1] + _ROUNDING:
-            raise InputError(
-                f"{where}: no frame is {edit.when}; the take is {since[-1]:.1f} s long"
-            )
+            hint = f"the take is {since[-1]:.1f} s long"
+            raise InputError(f"{where}: no frame is {edit.when}; {hint}")
         if edit.kind == "pin":
             pin = edit.joints[0], int(frames.argmax())
             if pin in pinned:

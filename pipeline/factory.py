@@ -83,10 +83,8 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
             "train one on pairs of that skeleton"
         )
     if config.preset is not None and config.preset != model.preset:
-        raise InputError(
-            f"not a model of preset {config.preset}; train one with 'kinefilter train "
-            f"--preset {config.preset}'"
-        )
+        hint = f"train one with 'kinefilter train --preset {config.preset}'"
+        raise InputError(f"not a model of preset {config.preset}; {hint}")
     if config.method not in (None, model.method, "local-pca"):
         raise InputError(
             f"a model of method {model.method}, but --method is {config.method}; omit "
@@ -99,10 +97,8 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
             known = f"only {', '.join(people)}" if people else "and no one else"
-            raise InputError(
-                f"does not know {config.person!r}, {known}; train it on people with "
-                "'kinefilter train --people'"
-            )
+            hint = "train it on people with 'kinefilter train --people'"
+            raise InputError(f"does not know {config.person!r}, {known}; {hint}")
         corrector.select_person(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:

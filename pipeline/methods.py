@@ -17,9 +17,7 @@ class Method:
     requires: Literal["skeleton", "database", "pairs"]
     """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
     options: tuple[str, ...] = ()  # fields of ``CleanConfig`` that it also takes
-    constants: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # its other defaults
+    constants: Mapping[str, Any] = field(default_factory=dict)  # its other defaults
 
     def load(self) -> Any:
         """Import and return the method's class or factory."""

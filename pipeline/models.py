@@ -109,7 +109,6 @@ def load_model(path: Path) -> Model:
             _try_out(corrector)
     except (InputError, KeyError, ValueError, *_DAMAGED) as error:
         wrong = f"no array {error}" if isinstance(error, KeyError) else error
-        raise InputError(
-            f"{path}: a damaged or outdated model: {wrong}; train again"
-        ) from None
+        told = f"a damaged or outdated model: {wrong}; train again"
+        raise InputError(f"{path}: {told}") from None
     return Model(corrector, method, skeleton, source, preset)

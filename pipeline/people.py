@@ -51,11 +51,18 @@ class Track(NamedTuple):
     sensor: int = 0  # number of the sensor
 
 
-class Part(NamedTuple):
-    """Frames of a track that show one person."""
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Frames of a track throughout which it shows the same person."""
 
     track: int  # number of the track, from 0
+    sensor: int
     rows: Indices  # the frames, in order
+    time: Array
+    places: Array  # over the floor [m], (T, 2)
+    lengths: Array  # of segments [m], (K,)
+    first: tuple[Array, Array]  # place [m], and velocity [m/s] or NaN, at its beginning
+    last: tuple[Array, Array]  # the same at its end
 
 
 def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
@@ -68,9 +75,9 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
 
     pieces, separable = _pieces(tracks)
     if not separable:
-        return [[Part(piece.track, piece.rows)] for piece in pieces]
+        return [[piece] for piece in pieces]
     left = sorted(pieces, key=lambda piece: piece.time[0])
-    people: list[list[_Piece]] = []
+    people: list[list[Part]] = []
     while left:
         group = _beginning(left)
         left = [piece for piece in left if piece not in group]
@@ -83,21 +90,7 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
         for row, column in zip(*linear_sum_assignment(costs), strict=True):
             people[column].append(group[row])
         people = [person for person in people if person]
-    return [[Part(piece.track, piece.rows) for piece in person] for person in people]
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """Frames of a track throughout which it shows the same person."""
-
-    track: int
-    sensor: int
-    rows: Indices
-    time: Array
-    places: Array  # over the floor [m], (T, 2)
-    lengths: Array  # of segments [m], (K,)
-    first: tuple[Array, Array]  # place [m], and velocity [m/s] or NaN, at its beginning
-    last: tuple[Array, Array]  # the same at its end
+    return people
 
 
 def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
@@ -110,7 +103,7 @@ def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
     return place, velocity
 
 
-def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
+def _pieces(tracks: Sequence[Track]) -> tuple[list[Part], bool]:
     """Return tracks cut where the person may change; uncut, and False, if too often."""
     seen, places, cuts = [], [], list[set[int]]()
     for track in tracks:
@@ -141,7 +134,7 @@ def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
                 lengths = _lengths(track.positions[sample], track.skeleton)
                 place, time = places[k][part], track.time[rows]
                 ends = (_motion(time, place, when) for when in (time[0], time[-1]))
-                found.append(_Piece(k, track.sensor, rows, time, place, lengths, *ends))
+                found.append(Part(k, track.sensor, rows, time, place, lengths, *ends))
     return found, separable
 
 
@@ -176,7 +169,7 @@ def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     return column_medians(np.stack(columns, axis=1))
 
 
-def _beginning(left: Sequence[_Piece]) -> list[_Piece]:
+def _beginning(left: Sequence[Part]) -> list[Part]:
     """Return the first piece, and those of its sensor that begin while it lasts."""
     group = [left[0]]
     for piece in left[1:]:
@@ -187,11 +180,11 @@ def _beginning(left: Sequence[_Piece]) -> list[_Piece]:
     return group
 
 
-def _overlap(one: _Piece, other: _Piece) -> bool:
+def _overlap(one: Part, other: Part) -> bool:
     return bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
 
 
-def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
+def _cost(person: Sequence[Part], piece: Part) -> float:
     """Return the cost of assigning a piece to a person."""
     both = [other for other in person if _overlap(other, piece)]
     if any(other.sensor == piece.sensor for other in both):
@@ -222,14 +215,14 @@ def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
     return cost + 0.5 * float(change @ change) / (_SPEED + _CHANGE * gap) ** 2
 
 
-def _distances(piece: _Piece, other: _Piece) -> Array:
+def _distances(piece: Part, other: Part) -> Array:
     """Return distances [m] of the places of two sensors at the same times."""
     inside = (piece.time >= other.time[0]) & (piece.time <= other.time[-1])
     there = [np.interp(piece.time[inside], other.time, x) for x in other.places.T]
     return np.asarray(np.hypot(*(piece.places[inside].T - there)))
 
 
-def _cost_of_lengths(person: Sequence[_Piece], piece: _Piece) -> float:
+def _cost_of_lengths(person: Sequence[Part], piece: Part) -> float:
     """Return the cost of a piece's lengths against the person's by the same sensor."""
     own = [other for other in person if other.sensor == piece.sensor]
     if not own:

@@ -60,17 +60,14 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise InputError(f"{name}: is not in {out}; {_BATCH}")
     if not takes:
-        raise InputError(
-            f"{row.take}: not found; give the folder of the takes with --take"
-        )
+        hint = "give the folder of the takes with --take"
+        raise InputError(f"{row.take}: not found; {hint}")
     found = zip(find_sources([*map(str, takes)], str(out)), _names(row), strict=True)
     sources = tuple(replace(source, take=name) for source, name in found)
     hashes = (source.store.sha256(source.file.name) for source in sources)
     if row.sha256 != " ".join(hashes):
-        raise InputError(
-            f"{takes[0]}: is not the take that the clip was made from, or was changed; "
-            f"{_BATCH}"
-        )
+        wrong = "is not the take that the clip was made from, or was changed"
+        raise InputError(f"{takes[0]}: {wrong}; {_BATCH}")
     options = settings_in(row.options, f"{out}: options of {row.take}", Path.cwd())
     settings, suffix = overlaid(Settings(), options), Path(row.output).suffix
     if settings.config.edits is not None:

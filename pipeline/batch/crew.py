@@ -101,10 +101,8 @@ class _Cluster(Crew):
             client: Any = distributed.Client
             self._client = client(address, timeout=_CONNECT_TIMEOUT)
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"--scheduler {address}: no scheduler answers ({error}); start one "
-                "with 'dask scheduler'"
-            ) from None
+            wrong = f"no scheduler answers ({error}); start one with 'dask scheduler'"
+            raise InputError(f"--scheduler {address}: {wrong}") from None
         super().__init__(_MAX_SCHEDULED, self._client.get_executor(pure=False))
 
     def end(self) -> None:
@@ -129,10 +127,8 @@ class _Cluster(Crew):
         try:
             return done.result()
         except CancelledError:
-            raise InputError(
-                "the cluster is gone; restart it, and run the same command again to "
-                "resume"
-            ) from None
+            hint = "restart it, and run the same command again to resume"
+            raise InputError(f"the cluster is gone; {hint}") from None
         except KilledWorker:
             return None
         except Exception as error:  # e.g. a worker with another version of kinefilter

@@ -159,9 +159,8 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
         path.touch()
         file = path.open("rb+", buffering=0)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose another folder"
-        ) from error
+        wrong = f"cannot be written ({error.strerror})"
+        raise InputError(f"{path}: {wrong}; choose another folder") from error
     with file:
         try:
             # The system releases the lock when the process ends, however it ends.
@@ -239,9 +238,8 @@ def read_rows(folder: Path) -> list[Row]:
     try:
         rows, _ = parse_rows(path.read_bytes(), str(path))
     except FileNotFoundError:
-        raise InputError(
-            f"{folder}: no {_LINES}; give a folder of clips from 'kinefilter batch'"
-        ) from None
+        hint = "give a folder of clips from 'kinefilter batch'"
+        raise InputError(f"{folder}: no {_LINES}; {hint}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     return list({row.take: row for row in rows}.values())

@@ -81,10 +81,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
 def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
     store, root = store_at(place), canonical(place)
     if root == canonical(out):
-        raise InputError(
-            f"{out}: is also searched for takes; write into another folder, for "
-            "example inside it"
-        )
+        hint = "write into another folder, for example inside it"
+        raise InputError(f"{out}: is also searched for takes; {hint}")
     # Output inside the searched folder is skipped.
     written = f"{canonical(out)}/".removeprefix(f"{root}/")
     return [
@@ -200,12 +198,10 @@ class Job:
         try:
             hashes = (source.store.sha256(source.file.name) for source in self.sources)
             same = self.stamp == row.stamp or row.sha256 == " ".join(hashes)
+            sha256 = self.store.sha256
             return (same and row.output == self.output) and all(
                 (file := written.get(clip.output)) is not None
-                and (
-                    file.stamp == clip.stamp
-                    or self.store.sha256(file.name) == clip.sha256
-                )
+                and (file.stamp == clip.stamp or sha256(file.name) == clip.sha256)
                 for clip in row.clips
             )
         except InputError:  # unreadable, which the job itself will report
@@ -251,8 +247,7 @@ def plan_jobs(
 
     _check(settings, out, suffix)
     chosen = [
-        settings_of(source.store, PurePosixPath(source.file.name).parent)
-        for source in sources
+        settings_of(one.store, PurePosixPath(one.file.name).parent) for one in sources
     ]
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
@@ -269,10 +264,8 @@ def plan_jobs(
     places, root = {source.place for source in sources}, canonical(out.root)
     for job in jobs:
         if f"{root}/{job.output}" in places:
-            raise InputError(
-                f"{out.path(job.output)}: would overwrite a take; choose another "
-                "output folder"
-            )
+            hint = "choose another output folder"
+            raise InputError(f"{out.path(job.output)}: would overwrite a take; {hint}")
     return sorted(jobs, key=lambda job: (-job.size, job.take))
 
 

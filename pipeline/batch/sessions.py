@@ -97,9 +97,7 @@ def _joined(name: str, pattern: str, takes: Sequence[Session]) -> Session:
     if len(takes) == 1:
         return takes[0]
     order = {sensor: k for k, sensor in enumerate(takes[0].settings.sensors)}
-    takes = sorted(
-        takes, key=lambda one: (order.get(one.sensors[0], 0), one.sensors, one.take)
-    )
+    takes = sorted(takes, key=lambda t: (order.get(t.sensors[0], 0), t.sensors, t.take))
     folders = PurePosixPath(takes[0].take).parents
     folder = folders[min(pattern.count("/"), len(folders) - 1)]
     return takes[0]._replace(

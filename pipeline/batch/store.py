@@ -184,9 +184,8 @@ def canonical(place: str) -> str:
 
 
 def _raise_unreadable(error: OSError) -> None:
-    raise InputError(
-        f"{error.filename}: cannot be searched ({error.strerror}); check permissions"
-    ) from error
+    wrong = f"cannot be searched ({error.strerror})"
+    raise InputError(f"{error.filename}: {wrong}; check permissions") from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:

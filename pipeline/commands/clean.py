@@ -13,13 +13,8 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
-from kinefilter.pipeline.formats import (
-    Recording,
-    check_writable,
-    write_clip,
-    write_contacts,
-    write_people,
-)
+from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
+from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
 from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
@@ -164,9 +159,8 @@ class Clean:
         settings, numbers = self.settings, self.settings.people(recordings)
         for name in ("contacts", "edits"):
             if getattr(settings.config, name) is not None and len(numbers) > 1:
-                raise InputError(
-                    f"--{name} applies to one person; choose one with --body"
-                )
+                hint = "choose one with --body"
+                raise InputError(f"--{name} applies to one person; {hint}")
         results = {}
         with progress_bars() as progress:
             cleaned = settings.clean(recordings, numbers, progress=progress)
@@ -274,9 +268,8 @@ class Batch:
         if self.jobs is not None and self.jobs < 1:
             raise InputError(f"--jobs {self.jobs}: must be at least 1")
         if self.take_timeout is not None and not self.take_timeout > 0:
-            raise InputError(
-                f"--take-timeout {self.take_timeout:g}: must be greater than 0"
-            )
+            wrong = "must be greater than 0"
+            raise InputError(f"--take-timeout {self.take_timeout:g}: {wrong}")
         if self.jobs is not None and self.scheduler is not None:
             raise InputError("--jobs cannot be combined with --scheduler")
         own = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
@@ -325,9 +318,7 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
             if progress.failed:
                 words += f", {progress.failed} failed"
             log(words)
-            done, total = progress.size_done, progress.size
-            bars.update(
-                task, description=words, completed=done, total=total, visible=True
-            )
+            size = {"completed": progress.size_done, "total": progress.size}
+            bars.update(task, description=words, visible=True, **size)
 
         yield show

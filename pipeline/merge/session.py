@@ -74,10 +74,8 @@ class Merged:
             if not found.clock_is_sure:
                 yield f"{source}: people hardly move, so its lag is unsure; {hint}"
             elif not found.place_is_sure:
-                yield (
-                    f"{source}: people hardly walk, so the sensor's direction may be "
-                    f"off by 30 degrees; {hint}"
-                )
+                doubt = "so the sensor's direction may be off by 30 degrees"
+                yield f"{source}: people hardly walk, {doubt}; {hint}"
 
 
 def merge(
@@ -103,8 +101,8 @@ def merge(
         InputError: Fewer than two takes, or takes that do not belong together.
     """
     recordings = [
-        take if isinstance(take, Recording) else Recording((take,), "take")
-        for take in takes
+        one if isinstance(one, Recording) else Recording((one,), "take")
+        for one in takes
     ]
     if len(recordings) < 2:
         raise InputError("only one take is given; merge needs one per sensor")
@@ -163,10 +161,8 @@ def _sights(
     """Return what a sensor sees at some times of the first one's clock."""
     stamps = found.clock.at(time)
     positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
-    rows, joints = (
-        nearest_frames(take.time, stamps),
-        _joint_map(take.skeleton, skeleton),
-    )
+    rows = nearest_frames(take.time, stamps)
+    joints = _joint_map(take.skeleton, skeleton)
     positions = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
     missing = np.isnan(positions[..., 0])
     reliability, state = (
