@@ -113,10 +113,9 @@ def _read(words: Sequence[str]) -> Any:
     """Return the command with its options."""
     with _paragraphs_joined():
         if words and words[0] in COMMANDS:
-            prog = f"kinefilter {words[0]}"
-            return tyro.cli(
-                _command(words[0]), prog=prog, args=words[1:], config=_CONFIG
-            )
+            name, *rest = words
+            prog = f"kinefilter {name}"
+            return tyro.cli(_command(name), prog=prog, args=rest, config=_CONFIG)
         listed = []
         for name in COMMANDS:
             kind = _command(name)

@@ -118,11 +118,8 @@ class Draft:
     def part(self, frames: slice) -> Draft:
         """Return the draft of some of a take's frames."""
         part = self.at(frames)
-        part.failures = tuple(
-            failure.moved(-frames.start)
-            for failure in self.failures
-            if frames.start <= failure.first < frames.stop
-        )
+        inside = (f for f in self.failures if frames.start <= f.first < frames.stop)
+        part.failures = tuple(failure.moved(-frames.start) for failure in inside)
         return part
 
     def put(self, part: Draft, frames: slice, which: Flags) -> None:

@@ -216,10 +216,7 @@ def edited(take: Take, edits: Sequence[Edit], since: Array) -> Take:
 
 
 def check_edits(take: Take, edits: Sequence[Edit]) -> None:
-    """Raise an InputError if a take lacks an edit's joints or time, or none is left.
-
-    Nor may a joint be pinned twice in a frame.
-    """
+    """Raise an InputError if edits do not fit a take, or none of its joints is left."""
     since, pinned = take.time - take.time[0], set[tuple[str, int]]()
     for edit in edits:
         frames, where = edit.frames(since), edit.source or f"{take.source}: an edit"

@@ -22,10 +22,8 @@ class Preset:
 
     @property
     def stages(self) -> dict[str, Any]:
-        """Fields of ``CleanConfig`` that the preset decides.
-
-        No paper smooths, plants feet or reconstructs hidden limbs.
-        """
+        """Fields of ``CleanConfig`` that the preset decides."""
+        # No paper smooths, plants feet or reconstructs hidden limbs.
         own = {"method": self.method, "scoring": self.scoring, "physics": self.physics}
         return own | {"reconstruct": False, "cutoff": 0.0, "feet": "never"}
 

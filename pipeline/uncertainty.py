@@ -47,11 +47,15 @@ def log_uncertainty(
 
     ``weights`` are by seen or hidden, then by PARTS; ``describe`` returns the rest.
     """
-    logs = []
-    for kind, features in (("seen", seen), ("hidden", gone)):
-        table = np.repeat([weights[kind][part] for part in PARTS], 2, axis=0)
-        logs.append(table[:, 0] + np.vecdot(features, table[:, 1:]))
-    return np.where(hidden, logs[1], logs[0])
+    found = np.empty(hidden.shape)
+    for k, part in enumerate(PARTS):
+        sides = slice(2 * k, 2 * k + 2)
+        logs = []
+        for kind, features in (("seen", seen), ("hidden", gone)):
+            bias, *scales = weights[kind][part]
+            logs.append(bias + features[:, sides] @ np.array(scales))
+        found[:, sides] = np.where(hidden[:, sides], logs[1], logs[0])
+    return found
 
 
 def describe(draft: Draft) -> tuple[Array, Array, Flags]:

@@ -17,10 +17,7 @@ _BATCH = "run 'kinefilter batch' again"
 
 
 def find_takes(row: Row, folders: Sequence[Path]) -> list[Path]:
-    """Return the files of a row's take, one per sensor; empty if not all are found.
-
-    They are looked for below each of the folders of takes.
-    """
+    """Return the files of a row's take, one per sensor, if a folder has all of them."""
     for folder in folders:
         paths = [folder / name for name in _names(row)]
         if all(path.is_file() for path in paths):

@@ -110,10 +110,7 @@ def _with_line(row: Row) -> tuple[Row, str]:
 
 
 class Manifest:
-    """The manifest of an output folder: a file that only this process writes.
-
-    ``rows`` maps the name of each take to its last row.
-    """
+    """The manifest of an output folder; ``rows`` has the last row of each take."""
 
     def __init__(self, file: io.FileIO, path: Path) -> None:
         rows, length = parse_rows(file.readall(), str(path))
@@ -230,10 +227,7 @@ def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Return the last row of each take in the manifest of a local output folder.
-
-    Raises InputError if the folder has no manifest, or a damaged one.
-    """
+    """Return the last row of each take in a local manifest, or raise an InputError."""
     path = folder / _LINES
     try:
         rows, _ = parse_rows(path.read_bytes(), str(path))

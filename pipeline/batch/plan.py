@@ -112,10 +112,8 @@ def clip_names(
     names, longer = list[str](), [str(PurePosixPath(p).with_suffix("")) for p in plain]
     while names != longer:
         names, counts = longer, Counter(map(key, longer))
-        longer = [
-            take if counts[key(name)] > 1 else name
-            for take, name in zip(takes, names, strict=True)
-        ]
+        pairs = zip(takes, names, strict=True)
+        longer = [take if counts[key(name)] > 1 else name for take, name in pairs]
     return [name + suffix for name in unique_names(map(_cut, names), str.casefold)]
 
 
@@ -127,8 +125,7 @@ def _cut(name: str) -> str:
 def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
     """Make names unique by prefixing duplicates with a number.
 
-    Names with the same key are duplicates. In a path, the number is put before the last
-    part.
+    Names with the same key are duplicates. In a path, the last part gets the number.
     """
     taken: dict[str, int] = {}  # the last number used for each key
     unique = []
@@ -176,10 +173,8 @@ class Job:
 
     def row(self, status: Status, **values: Any) -> Row:
         """Return the take's row of the manifest."""
-        sensors = tuple(
-            {"sensor": sensor, "source": source.take}
-            for sensor, source in zip(self.sensors, self.sources, strict=False)
-        )
+        pairs = zip(self.sensors, self.sources, strict=False)
+        sensors = tuple({"sensor": name, "source": one.take} for name, one in pairs)
         options = as_table(self.settings)
         if options.get("edits") == str(_beside(self.sources[0])):
             del options["edits"]
@@ -246,9 +241,7 @@ def plan_jobs(
         return found
 
     _check(settings, out, suffix)
-    chosen = [
-        settings_of(one.store, PurePosixPath(one.file.name).parent) for one in sources
-    ]
+    chosen = [settings_of(s.store, PurePosixPath(s.file.name).parent) for s in sources]
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]
@@ -256,10 +249,8 @@ def plan_jobs(
     stems = [one.take + _SESSION * (len(one.sources) > 1) for one in named]
     names = clip_names(stems, suffix, several=several)
     hashed = cache(partial(fingerprint, suffix=suffix))
-    jobs = [
-        Job(*one, out, name, hashed(one.settings), take_timeout)
-        for one, name in zip(named, names, strict=True)
-    ]
+    pairs = zip(named, names, strict=True)
+    jobs = [Job(*s, out, n, hashed(s.settings), take_timeout) for s, n in pairs]
     _check_one_person_each(jobs)
     places, root = {source.place for source in sources}, canonical(out.root)
     for job in jobs:

@@ -87,9 +87,7 @@ def find_sessions(
         if settings.sensors and not used:
             names = " ".join(settings.sensors)
             raise InputError(f"--sensors {names}: requires --sessions")
-    return alone + [
-        _joined(name, pattern, takes) for (_, name, pattern), takes in groups.items()
-    ]
+    return alone + [_joined(*key[1:], takes) for key, takes in groups.items()]
 
 
 def _joined(name: str, pattern: str, takes: Sequence[Session]) -> Session:

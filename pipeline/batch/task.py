@@ -95,10 +95,9 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
         try:
             fused = merged.all_notes() if merged else ()
             result = replace(result, notes=(*take_notes, *fused, *result.notes))
-            paths = part_paths(path, len(result.clips))
+            parts = zip(part_paths(path, len(result.clips)), result.clips, strict=True)
             row["clips"] += tuple(
-                _write(result, clip, str(path), body, job)
-                for path, clip in zip(paths, result.clips, strict=True)
+                _write(result, c, str(p), body, job) for p, c in parts
             )
             if merged:
                 figures = zip(names, merged.figures()["sensors"], strict=True)

@@ -61,12 +61,10 @@ class Merge:
         written = (self.out, self.save_calibration, self.json)
         check_output(self.out, suffix=".csv")
         check_outputs(written, *self.takes, self.calibration)
-        calibration = read_calibration(self.calibration)
+        known = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.takes]
-        with progress_bars() as progress:
-            merged = merge(
-                recordings, body=self.body, calibration=calibration, progress=progress
-            )
+        with progress_bars() as bars:
+            merged = merge(recordings, body=self.body, calibration=known, progress=bars)
         write_merged_csv(merged.take, merged.reliability, merged.shares, self.out)
         if self.save_calibration is not None:
             write_calibration(merged, self.save_calibration)

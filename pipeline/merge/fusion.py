@@ -86,11 +86,8 @@ class Fusion:
         sides = self._sides.whole((seen.positions, _weights(seen)) for seen in stacked)
         for seen, swapped in zip(stacked, sides, strict=True):
             self._swap(seen, swapped)
-        headings = self._facing.whole(
-            (*self._directions(seen), float(since))
-            for seen, since in zip(stacked, elapsed, strict=True)
-        )
-        return sides, headings
+        each = zip(map(self._directions, stacked), elapsed.tolist(), strict=True)
+        return sides, self._facing.whole((*both, since) for both, since in each)
 
     def _stack(self, sights: Sequence[Sight | None]) -> Sight:
         """Return what all sensors see, arrays with a leading axis S."""

@@ -10,7 +10,7 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import IDENTITY, Alignment, check_sensors
@@ -126,14 +126,12 @@ def fuse(
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
-    sides, headings = fusion.precompute(frames, elapsed)
+    found = fusion.precompute(frames, elapsed)
+    steps = list(zip(frames, elapsed.tolist(), *found, strict=True))
     fused: list[Fused] = []
     for sweep in ("learn", "merge"):  # the first learns where sensors misplace joints
         fusion.start()
-        fused = [
-            fusion.step(frames[k], float(elapsed[k]), sides[k], headings[k])
-            for k in progress(sweep, len(time))
-        ]
+        fused = [fusion.step(*step) for step in over(steps, sweep, progress)]
     arrays = map(np.array, zip(*fused, strict=True))
     positions, state, reliability, shares, swapped = arrays
     source = " + ".join(take.source for take in takes)
