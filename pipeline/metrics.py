@@ -74,8 +74,7 @@ def jitter(time: Array, positions: Array) -> float:
     Only runs of four frames with the joint count, evenly spaced within half a step.
     """
     third, nominal = even_differences(time, positions, 3)
-    third = _known(third.T)
-    return float(third.mean() / nominal**3) if len(third) else float("nan")
+    return _mean(third.T) / nominal**3
 
 
 def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, float]:

@@ -21,30 +21,20 @@ _DIED = (
 
 
 @dataclass
-class JobProgress:
-    """Progress of a batch."""
-
-    takes: int  # takes to clean
-    size: int  # their approximate size [bytes]
-    takes_done: int = 0  # takes cleaned or failed
-    size_done: int = 0  # their approximate size [bytes]
-    failed: int = 0  # takes failed
-    idle: bool = False  # True while there are no workers
-
-
-@dataclass
 class Outcome:
-    """Result of a batch."""
+    """Result of a batch, so far while it runs."""
 
     kept: list[Row] = field(default_factory=list)  # up to date from earlier runs
     rows: list[Row] = field(default_factory=list)  # from this run
     seconds: float = 0.0  # spent cleaning
     earlier: int = 0  # takes in the manifest that were not given this time
+    takes: int = 0  # takes to clean
+    size: int = 0  # their approximate size [bytes]
+    size_done: int = 0  # that of those cleaned or failed [bytes]
+    idle: bool = False  # True while there are no workers
 
-    @property
-    def failed(self) -> list[Row]:
-        """Rows of takes that failed."""
-        return [row for row in self.rows if row.status == "failed"]
+    def __post_init__(self) -> None:
+        self.failed = [row for row in self.rows if row.status == "failed"]
 
     @property
     def damaged(self) -> list[Row]:
@@ -53,7 +43,7 @@ class Outcome:
         return [row for row in rows if any(c.failures or c.damage for c in row.clips)]
 
 
-OnProgress = Callable[[JobProgress], None]
+OnProgress = Callable[[Outcome], None]
 
 
 def clean_files(
@@ -125,18 +115,17 @@ def _clean(
     outcome: Outcome,
     on_progress: OnProgress,
 ) -> None:
-    progress = JobProgress(len(jobs), sum(job.size for job in jobs))
+    outcome.takes, outcome.size = len(jobs), sum(job.size for job in jobs)
     start = perf_counter()
 
     def record(done: Sequence[tuple[Job, Row]]) -> None:
         rows = manifest.append([row for _, row in done])
         outcome.rows += rows
+        outcome.failed += [row for row in rows if row.status == "failed"]
         outcome.seconds = perf_counter() - start
-        progress.takes_done += len(done)
-        progress.size_done += sum(job.size for job, _ in done)
-        progress.failed += sum(row.status == "failed" for row in rows)
-        progress.idle = not rows and crew.is_idle()
-        on_progress(progress)
+        outcome.size_done += sum(job.size for job, _ in done)
+        outcome.idle = not rows and crew.is_idle()
+        on_progress(outcome)
 
     died = list(jobs)
     # A job whose process died is retried, with no other job running.

@@ -33,7 +33,7 @@ from .terminal import (
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.batch.run import JobProgress, OnProgress
+    from kinefilter.pipeline.batch.run import OnProgress, Outcome
     from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.merge import Merged
 
@@ -307,18 +307,18 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
         log = logger()
         task = bars.add_task("clean", visible=False)
 
-        def show(progress: JobProgress) -> None:
+        def show(outcome: Outcome) -> None:
             nonlocal warned
-            if progress.idle and not warned:
+            if outcome.idle and not warned:
                 err.print(
                     f"no workers; start one with: dask worker {scheduler} --nthreads 1"
                 )
                 warned = True
-            words = f"clean {progress.takes_done}/{progress.takes}"
-            if progress.failed:
-                words += f", {progress.failed} failed"
+            words = f"clean {len(outcome.rows)}/{outcome.takes}"
+            if outcome.failed:
+                words += f", {len(outcome.failed)} failed"
             log(words)
-            size = {"completed": progress.size_done, "total": progress.size}
+            size = {"completed": outcome.size_done, "total": outcome.size}
             bars.update(task, description=words, visible=True, **size)
 
         yield show
