@@ -57,9 +57,8 @@ def _build(
 
 def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
     """Return the shipped learned corrector followed by local PCA with ``options``."""
-    skeleton = database.skeleton
-    methods = shipped_model(skeleton), LocalPCA(database, **options)
-    return CorrectorChain(*methods)
+    pca = LocalPCA(database, **options)
+    return CorrectorChain(shipped_model(database.skeleton), pca)
 
 
 def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:

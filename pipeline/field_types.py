@@ -1,6 +1,7 @@
 """Conversion of settings to the types their fields are annotated with."""
 
 import os
+from contextlib import suppress
 from functools import cache
 from inspect import signature
 from numbers import Integral, Real
@@ -62,10 +63,8 @@ def converted(value: object, hint: Any, where: str) -> Any:
             if type(value) is kind:
                 return value
         elif isinstance(value, Integral if kind is int else Real):
-            try:
+            with suppress(OverflowError, ValueError):  # of 400 digits
                 return kind(value)
-            except (OverflowError, ValueError):  # of 400 digits
-                pass
     allowed = " or ".join(
         ", ".join(f'"{word}"' for word in get_args(kind) if isinstance(word, str))
         or _WORDS.get(kind, "paths of files")

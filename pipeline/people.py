@@ -144,11 +144,9 @@ def _crossings(one: Array, other: Array) -> Indices:
     These are where each continues from the other's place, or they are nearest.
     """
     apart = np.linalg.norm(one - other, axis=1)
-    steps = [
-        np.linalg.norm(a[1:] - b[:-1], axis=1)
-        for a, b in ((one, one), (other, other), (one, other), (other, one))
-    ]
-    found = 1 + np.flatnonzero(steps[2] + steps[3] < steps[0] + steps[1])
+    both = np.stack([one, other])
+    steps = np.linalg.norm(both[:, None, 1:] - both[:, :-1], axis=3)  # to and from
+    found = 1 + np.flatnonzero(steps[0, 1] + steps[1, 0] < steps[0, 0] + steps[1, 1])
     for spell in runs(apart < _NEAR):
         if not ((found >= spell.start) & (found < spell.stop)).any():
             found = np.append(found, spell.start + np.argmin(apart[spell]))
@@ -158,8 +156,7 @@ def _crossings(one: Array, other: Array) -> Indices:
 def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     """Return medians over frames of lengths that tell people apart [m], (K,)."""
     lengths = segment_lengths(positions, skeleton)
-    pairs = [lengths[:, skeleton.sides(part)] for part in _SIDES]
-    columns = [0.5 * (left + right) for left, right in (pair.T for pair in pairs)]
+    columns = [lengths[:, skeleton.sides(part)].mean(axis=1) for part in _SIDES]
     girdle = positions[:, skeleton.girdle]
     for joint in (skeleton.root, skeleton.index("Head")):
         columns.append(np.linalg.norm(positions[:, joint] - girdle, axis=1))

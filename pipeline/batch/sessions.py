@@ -54,17 +54,15 @@ class Session(NamedTuple):
     settings: Settings
 
 
-def find_sessions(
-    sources: Sequence[Source], chosen: Sequence[Settings]
-) -> list[Session]:
-    """Group files into sessions by the pattern in the settings chosen for each.
+def find_sessions(sources: Sequence[Source], each: Sequence[Settings]) -> list[Session]:
+    """Group files into sessions by the pattern in the settings of ``each``.
 
     A take without a partner, or whose name does not match, is a session of its own.
     Raises InputError if a pattern matches no file, or sensors are given without one.
     """
     alone, unmatched = list[Session](), dict[str, str]()
     groups: dict[tuple[str, str, str], list[Session]] = {}
-    for source, settings in zip(sources, chosen, strict=True):
+    for source, settings in zip(sources, each, strict=True):
         pattern, place = settings.sessions or "", source.store.path(source.file.name)
         match = _expression(pattern, settings.sensors).fullmatch(Path(place).as_posix())
         if match is None or not pattern:
@@ -83,7 +81,7 @@ def find_sessions(
                 "a pattern such as {name}_{sensor}.csv* for walk_left.csv, and spell "
                 "--sensors as in the file names"
             )
-    for settings in chosen:
+    for settings in each:
         if settings.sensors and not used:
             names = " ".join(settings.sensors)
             raise InputError(f"--sensors {names}: requires --sessions")
