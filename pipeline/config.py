@@ -155,10 +155,9 @@ class CleanConfig:
         for name, value in (wanted | self.parameters.stages).items():
             given, default = getattr(self, name), vars(CleanConfig)[name]
             if given not in (default, value):
-                raise InputError(
-                    f"--preset {preset} decides --{name} ({value}); change it with "
-                    f"--set {name}=..., or omit --preset"
-                )
+                wrong = f"--preset {preset} decides --{name} ({value})"
+                hint = f"change it with --set {name}=..., or omit --preset"
+                raise InputError(f"{wrong}; {hint}")
             object.__setattr__(self, name, value)
 
     def __post_init__(self) -> None:

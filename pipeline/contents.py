@@ -133,10 +133,9 @@ def _of_npz(name: str) -> dict[str, Any]:
             "which cannot be read back; write a clip without --rig"
         )
     else:
-        raise InputError(
-            f"{name}: not a kinefilter clip, pairs file, model or motion database; it "
-            f"has the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
-        )
+        wrong = "not a kinefilter clip, pairs file, model or motion database"
+        hint = f"it has the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
+        raise InputError(f"{name}: {wrong}; {hint}")
     return {"format": "npz"} | contents
 
 

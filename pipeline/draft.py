@@ -55,19 +55,16 @@ class Draft:
     deciding_term: Codes = field(init=False)  # the term that decided (Term), (J,)
     hidden: Flags | None = None  # joints in ``filled``, (J,); None without it
     filled: Array = field(init=False)  # ``measured``, reconstructed if hidden, (J, 3)
-    standard: Array = field(init=False)
-    """Joints [m] on the standard body, root at origin, facing +z, or NaN, (J, 3)."""
-    heading: HeadingFrame = field(init=False)  # what was removed from that
+    standard: Array = field(init=False)  # joints [m] on the standard body, (J, 3)
+    heading: HeadingFrame = field(init=False)  # root and heading removed from that
     positions: Array = field(init=False)
     """Joint positions [m] after the latest stage, shape (J, 3): corrected, in the
     sensor frame; from the floor stage on in the world frame with the floor at y = 0;
     after physics those of the simulated character."""
     confidence: Array = field(init=False)  # share of the measurement in joints, (J,)
-    coverage: Any = field(init=False)
-    """How well the method knows the posture, in [0, 1] or NaN, shape ()."""
+    coverage: Any = field(init=False)  # of the posture, in [0, 1] or NaN, shape ()
     origin: Codes = field(init=False)  # origin of each joint (Origin), shape (J,)
-    twist: NDArray[Any] | None = None
-    """World segment rotations to take the twist from, wxyz, shape (J, 4), or None."""
+    twist: NDArray[Any] | None = None  # rotations to take twists from, wxyz, (J, 4)
     stands: Flags = field(init=False)  # which foot (left, right) is planted, (2,)
     contacts: Flags = field(init=False)  # planted parts (CONTACTS), (4,); takes only
     turn: Turn = field(default_factory=Turn)  # how the sensor frame was set upright
@@ -76,8 +73,7 @@ class Draft:
     bone_weights: Array = field(init=False)  # how firmly joints keep places, (J,)
     rotations: Array = field(init=False)  # world segment rotations, wxyz, shape (J, 4)
     posed: Array = field(init=False)  # joints [m] before physics, (J, 3); takes only
-    external_force: Any = float("nan")
-    """Force on the body beyond muscles and floor [body weights], shape ()."""
+    external_force: Any = float("nan")  # beyond muscles and floor [body weights], ()
     # Frames only:
     impossible: bool = False  # a body of impossible size or place was discarded
     appears: bool = False  # the person is seen first, or suddenly elsewhere
@@ -85,8 +81,7 @@ class Draft:
     # Takes only:
     trace: PhysicsTrace | None = None  # what the simulation did
     props: tuple[Prop, ...] = ()  # around the character in the simulation
-    unedited: Unedited | None = None
-    """The take cleaned without edits, with the body, tilt and floor to use; or None."""
+    unedited: Unedited | None = None  # has the body, tilt and floor to use, if edited
 
     @classmethod
     def of(cls, take: Take) -> Draft:

@@ -1,7 +1,4 @@
-"""Correction methods and reliability scorers by name, imported when used.
-
-To add one, write a file and add a line here: command line and tests use these tables.
-"""
+"""Correction methods and reliability scorers by name, imported when used."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -58,9 +55,7 @@ METHODS = {
         "lab.methods.posture:NoReliability", "database", ("seed",), _SHUM
     ),
 }
-"""Correction methods."""
 LEARNED = {name: m for name, m in METHODS.items() if m.requires == "pairs"}
-"""Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
     "chiang": "lab.scorers.chiang_scorer:ChiangReliabilityScorer",

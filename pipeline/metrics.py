@@ -20,8 +20,7 @@ from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.support import unexplained
 
-SKATE_HEIGHT = 0.05
-"""Height [m] above its standing height under which a foot joint should not slide."""
+SKATE_HEIGHT = 0.05  # m above its standing height, below which no foot should slide
 SKATE_SPEED = 0.2  # speed [m/s] above which a foot on the floor visibly skates
 
 _SHORTEST_FLIGHT = 5  # frames to fit a parabola to

@@ -1,9 +1,4 @@
-"""The papers' systems by name.
-
-A preset is data: a method and a scorer with their constants, and the stages of
-``clean`` that the paper has. ``pipeline/lab/DEPARTURES.md`` lists how the default of
-``clean`` departs from the papers, with the benefit of each departure.
-"""
+"""The papers' systems by name, as data: a method, a scorer, constants and stages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -66,7 +61,6 @@ PRESETS = {
         "low-rank", {"sparsity": 1.0, "growth": 1.05, "iterations": 1000}
     ),
 }
-"""Presets by name."""
 PresetName: TypeAlias = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
 
 

@@ -39,10 +39,9 @@ def clean_again(row: Row, out: Path, takes: Sequence[Path]) -> Row:
         for clip in row.clips:
             path = out / clip.output
             if path.exists() and store.sha256(clip.output) != clip.sha256:
-                raise InputError(
-                    f"{path}: was changed since the batch wrote it; move it away to "
-                    "clean its take again"
-                )
+                wrong = "was changed since the batch wrote it"
+                hint = "move it away to clean its take again"
+                raise InputError(f"{path}: {wrong}; {hint}")
         done = clean_file(job)
         if done.status != "done":
             raise InputError(f"{row.take}: {done.error or 'is not a take'}")

@@ -73,12 +73,8 @@ class Row:
     seconds: float = 0.0  # computing time
     clips: tuple[ClipRow, ...] = ()  # one per person or part
     error: str = ""  # why a clip is missing
-    sensors: tuple[dict[str, Any], ...] = ()
-    """Each sensor's take and alignment in a session (``Merged.figures``); a single one
-    for a take without a partner."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
-    edits beside the take."""
+    sensors: tuple[dict[str, Any], ...] = ()  # each one's take, and ``Merged.figures``
+    options: dict[str, Any] = field(default_factory=dict)  # as in a ``kinefilter.toml``
 
     def as_json(self) -> str:
         """Return the row as a line of JSON, without a line break."""
@@ -134,10 +130,9 @@ class Manifest:
         try:
             append_whole(self._file, "".join(lines).encode())
         except OSError as error:
-            raise InputError(
-                f"{self._path}: cannot be written ({error.strerror}); free some space, "
-                "and run the same command again to resume"
-            ) from error
+            wrong = f"cannot be written ({error.strerror})"
+            hint = "free some space, and run the same command again to resume"
+            raise InputError(f"{self._path}: {wrong}; {hint}") from error
 
 
 @contextmanager
@@ -216,10 +211,9 @@ def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
         except ValueError as error:
             if end == len(data):
                 break
-            raise InputError(
-                f"{name}: line {len(rows) + 1} is damaged ({error}); delete it to "
-                "clean its take again"
-            ) from None
+            wrong = f"line {len(rows) + 1} is damaged ({error})"
+            hint = "delete it to clean its take again"
+            raise InputError(f"{name}: {wrong}; {hint}") from None
         if line.endswith(b"\n"):
             rows.append(row)
             length = end

@@ -289,10 +289,9 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
     check_writable(where, settings.export)
     layer = settings.export.character
     if layer is not None and not (layer.is_file() and out.is_local):
-        raise InputError(
-            f"--character {layer}: clips of a batch can only refer to a layer that "
-            "exists on this machine; write it with 'kinefilter clean --character' first"
-        )
+        wrong = "clips of a batch can only refer to a layer that exists on this machine"
+        hint = "write it with 'kinefilter clean --character' first"
+        raise InputError(f"--character {layer}: {wrong}; {hint}")
     if settings.calibration is not None:
         from kinefilter.pipeline.merge import read_calibration
 

@@ -318,7 +318,7 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
             if outcome.failed:
                 words += f", {len(outcome.failed)} failed"
             log(words)
-            size = {"completed": outcome.size_done, "total": outcome.size}
-            bars.update(task, description=words, visible=True, **size)
+            bars.update(task, completed=outcome.size_done, total=outcome.size)
+            bars.update(task, description=words, visible=True)
 
         yield show

@@ -77,10 +77,8 @@ class Alignment(NamedTuple):
         return self.path >= _MIN_PATH
 
 
-IDENTITY = Alignment(
-    Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3)), 0.0, np.inf, np.inf
-)
-"""The alignment of the first sensor to itself."""
+_HERE = Placement(Rotation.identity(), np.zeros(3))
+IDENTITY = Alignment(Clock(0.0, 0.0), _HERE, 0.0, np.inf, np.inf)  # of the first sensor
 
 
 def align(first: Take, second: Take) -> Alignment:
