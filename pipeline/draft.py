@@ -81,7 +81,7 @@ class Draft:
     # Takes only:
     trace: PhysicsTrace | None = None  # what the simulation did
     props: tuple[Prop, ...] = ()  # around the character in the simulation
-    unedited: Unedited | None = None  # has the body, tilt and floor to use, if edited
+    unedited: Unedited | None = None  # the take cleaned without edits, if any
 
     @classmethod
     def of(cls, take: Take) -> Draft:

@@ -179,8 +179,7 @@ class Job:
         if options.get("edits") == str(_beside(self.sources[0])):
             del options["edits"]
         own = {"settings": self.fingerprint, "options": options, "sensors": sensors}
-        values = own | values
-        return Row(self.take, status, self.output, self.stamp, **values)
+        return Row(self.take, status, self.output, self.stamp, **own | values)
 
     def is_done(self, row: Row, written: Mapping[str, StoredFile]) -> bool:
         """Return True if an earlier run did this job and its clips are still there.
