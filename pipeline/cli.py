@@ -153,8 +153,7 @@ def _paragraphs_joined() -> Iterator[None]:
 
 def _command(name: str) -> Any:
     (file,) = (file for file, names in _FILES.items() if name in names.split(", "))
-    module = import_module(f"kinefilter.pipeline.{file}")
-    return getattr(module, name.capitalize())
+    return getattr(import_module(f"kinefilter.pipeline.{file}"), name.capitalize())
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:

@@ -63,8 +63,7 @@ class UsualScores:
         spoiled = self._since < _AVERAGED
         good = tracked & ~spoiled
         self._counts[good] = np.minimum(self._counts[good] + 1, _LATELY)
-        change = (scores - self._usual)[:, good] / self._counts[good]
-        self._usual[:, good] += change
+        self._usual[:, good] += (scores - self._usual)[:, good] / self._counts[good]
         known = hidden | spoiled & (self._counts > 0)
         return np.where(known, self._usual, scores)
 

@@ -284,8 +284,7 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
         from kinefilter.scenes import load_scene  # loads MuJoCo, which is slow
 
         load_scene(settings.config.scene)
-    where = Path(tempfile.gettempdir()) / f"clip{suffix}"
-    check_writable(where, settings.export)
+    check_writable(Path(tempfile.gettempdir()) / f"clip{suffix}", settings.export)
     layer = settings.export.character
     if layer is not None and not (layer.is_file() and out.is_local):
         wrong = "clips of a batch can only refer to a layer that exists on this machine"

@@ -80,9 +80,8 @@ def _as_table(merged: Merged) -> Table:
     sensor = Column("sensor", overflow="fold")  # names may differ only at the end
     table = Table(sensor, title=f"{len(merged.take)} frames merged")
     headings = ("lag, s", "drift, ms/min", "angle, deg", "distance, m")
-    for heading in (*headings, "share, %", "residual, cm"):
-        lines = heading.replace(" ", "\n")  # leaves room for names
-        table.add_column(lines, justify="right", no_wrap=True)
+    for heading in (*headings, "share, %", "residual, cm"):  # two lines leave room
+        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
     for row in merged.figures()["sensors"]:
         residual = row["apart_meters"]
         table.add_row(
