@@ -1,4 +1,1 @@
-"""The cleaning pipeline and everything around it; ``cleaner`` lists its stages.
-
-``import kinefilter`` offers what most users need.
-"""
+"""The cleaning pipeline and everything around it; ``cleaner`` lists its stages."""

@@ -19,18 +19,12 @@ from .target.upright import Turn
 class Pose:
     """The character after a frame."""
 
-    positions: Array
-    """Joint positions [m], y up, floor at 0, shape (J, 3)."""
-    rotations: Array
-    """World segment rotations, wxyz, shape (J, 4)."""
-    stands: Flags
-    """Whether each foot (left, right) is planted, shape (2,)."""
-    external_force: float
-    """Force on the body beyond muscles and floor [body weights]."""
-    reset: bool
-    """True if the character was reset onto its target; see ``PhysicsTrace.reset``."""
-    impossible: bool = False
-    """True if the frame's body has an impossible size or place and was ignored."""
+    positions: Array  # joint positions [m], y up, floor at 0, shape (J, 3)
+    rotations: Array  # world segment rotations, wxyz, shape (J, 4)
+    stands: Flags  # whether each foot (left, right) is planted, shape (2,)
+    external_force: float  # force on the body beyond muscles and floor [body weights]
+    reset: bool  # whether it was reset onto its target; see ``PhysicsTrace.reset``
+    impossible: bool = False  # whether the body's size or place made it be ignored
 
 
 class Avatar:

@@ -6,12 +6,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import reduce
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
-from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 from tyro.conf import subcommand
@@ -114,15 +112,15 @@ def _read(words: Sequence[str]) -> Any:
     """Return the command with its options."""
     with _paragraphs_joined():
         if words and words[0] in COMMANDS:
-            prog = f"kinefilter {words[0]}"
-            command = _command(words[0])
-            return tyro.cli(command, prog=prog, args=words[1:], config=_CONFIG)
+            name, *rest = words
+            prog = f"kinefilter {name}"
+            return tyro.cli(_command(name), prog=prog, args=rest, config=_CONFIG)
         listed = []
         for name in COMMANDS:
             kind = _command(name)
             summary = (kind.__doc__ or "").split("\n")[0]
             listed.append(Annotated[kind, subcommand(name, description=summary)])
-        union: Any = reduce(or_, listed)
+        union: Any = Union[tuple(listed)]  # noqa: UP007
         return tyro.cli(
             union, prog="kinefilter", description=_ABOUT, args=words, config=_CONFIG
         )
@@ -154,8 +152,7 @@ def _paragraphs_joined() -> Iterator[None]:
 
 def _command(name: str) -> Any:
     (file,) = (file for file, names in _FILES.items() if name in names.split(", "))
-    module = import_module(f"kinefilter.pipeline.{file}")
-    return getattr(module, name.capitalize())
+    return getattr(import_module(f"kinefilter.pipeline.{file}"), name.capitalize())
 
 
 def given_options(words: Sequence[str]) -> frozenset[str]:

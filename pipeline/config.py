@@ -1,17 +1,20 @@
 """Settings of cleaning; each field's docstring is also the help of its option."""
 
+import tomllib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
-from kinefilter.characters import InputError, TrackingName
+from kinefilter.characters import InputError, Tracking, TrackingName
 
-from .field_types import check_fields, type_hints
+from .field_types import check_fields, converted, keyword_hints, type_hints
 from .formats.takes import FORMATS
-from .methods import MethodName, ScorerName
-from .presets import PRESETS, Parameters, PresetName, parameters
+from .methods import METHODS, SCORERS, MethodName, ScorerName, load
+from .presets import PRESETS, Parameters, PresetName
 
 _FARTHEST = 10_000.0  # m; no sensor sees a floor farther away
+_MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all others
 
 # One list serves the command line and the readers; type checkers see Any.
 TakeFormat: TypeAlias = Literal[tuple(FORMATS)]  # type: ignore[valid-type]
@@ -103,15 +106,47 @@ class CleanConfig:
 
     @property
     def parameters(self) -> Parameters:
-        """Parameters of method, scorer and tracking, from the preset and ``set``."""
-        hints = type_hints(CleanConfig)
-        decided = PRESETS[self.preset].stages if self.preset else {}
-        stages = {n: hints[n] for n in decided if n not in ("method", "scoring")}
-        method = decided.get("method", self.method)
-        if self.set and method is None:
+        """Parameters of method, scorer and tracking, from the preset and ``set``.
+
+        ``set`` has NAME=VALUE, of a keyword of the method's or scorer's constructor, a
+        tracking gain, or a field that the preset decides. Raises an InputError for an
+        unknown name or unsuitable value.
+        """
+        preset = PRESETS[self.preset] if self.preset else None
+        method = preset.method if preset else self.method
+        found = Parameters(dict(preset.settings) if preset else {}, {}, {}, {}, {})
+        if not self.set:
+            return found
+        if method is None:
             raise InputError("--set needs the --preset or --method that it changes")
-        method = method or "default"
-        return parameters(self.preset, method, self.scoring, self.set, stages)
+        hints, decided = type_hints(CleanConfig), preset.stages if preset else {}
+        stages = {n: hints[n] for n in decided if n not in ("method", "scoring")}
+        groups = (
+            (keyword_hints(METHODS[method].load()), found.given),
+            (keyword_hints(load(SCORERS[self.scoring])), found.scorer),
+            (type_hints(Tracking), found.tracking),
+            (stages, found.stages),
+        )
+        for assignment in self.set:
+            name, equals, text = assignment.partition("=")
+            group = next((group for group in groups if name in group[0]), None)
+            if group is None or not equals:
+                known = ", ".join(dict.fromkeys(n for kind, _ in groups for n in kind))
+                what = f"preset {self.preset}" if preset else f"method {method}"
+                expected = f"NAME=VALUE, with a parameter of {what}: {known}"
+                raise InputError(f"--set {assignment}: expected {expected}")
+            value: Any = text
+            with suppress(tomllib.TOMLDecodeError):  # a number, true or false
+                value = tomllib.loads(f"value = {text}")["value"]
+            value = converted(value, group[0][name], f"--set {name}")
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                least = int(isinstance(value, int) and name != "seed")
+                if not least <= value <= _MOST:
+                    wrong = f"expected {least} to {_MOST}"
+                    raise InputError(f"--set {name}={value}: {wrong}")
+            group[1][name] = value
+        found.method.update(found.given)
+        return found
 
     def _follow(self, preset: PresetName) -> None:
         """Take over the preset's settings; raise an InputError if they conflict."""
@@ -120,10 +155,9 @@ class CleanConfig:
         for name, value in (wanted | self.parameters.stages).items():
             given, default = getattr(self, name), vars(CleanConfig)[name]
             if given not in (default, value):
-                raise InputError(
-                    f"--preset {preset} decides --{name} ({value}); change it with "
-                    f"--set {name}=..., or omit --preset"
-                )
+                wrong = f"--preset {preset} decides --{name} ({value})"
+                hint = f"change it with --set {name}=..., or omit --preset"
+                raise InputError(f"{wrong}; {hint}")
             object.__setattr__(self, name, value)
 
     def __post_init__(self) -> None:

@@ -11,18 +11,10 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from kinefilter.characters import (
-    CONTACTS,
-    KINECT_V1,
-    Clip,
-    InputError,
-    Origin,
-    State,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import nominal_step
+from kinefilter.characters.motion import CONTACTS, Origin, nominal_step
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
@@ -141,10 +133,9 @@ def _of_npz(name: str) -> dict[str, Any]:
             "which cannot be read back; write a clip without --rig"
         )
     else:
-        raise InputError(
-            f"{name}: not a kinefilter clip, pairs file, model or motion database; it "
-            f"has the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
-        )
+        wrong = "not a kinefilter clip, pairs file, model or motion database"
+        hint = f"it has the arrays {', '.join(sorted(arrays)[:5])[:100] or '(none)'}"
+        raise InputError(f"{name}: {wrong}; {hint}")
     return {"format": "npz"} | contents
 
 
@@ -280,13 +271,11 @@ def _timing(time: Array) -> dict[str, Any]:
 def _states(motion: Take | Clip) -> dict[str, dict[str, float]]:
     part_of = {joint: part for part, joints in _PARTS.items() for joint in joints}
     parts = np.array([part_of.get(j, "trunk") for j in motion.skeleton.joints])
-    return {
-        part: {
-            state.name.lower(): float(np.mean(motion.state[:, parts == part] == state))
-            for state in State
-        }
-        for part in ("trunk", *_PARTS)
-    }
+    shares = {}
+    for part in ("trunk", *_PARTS):
+        codes = motion.state[:, parts == part]
+        shares[part] = {s.name.lower(): float(np.mean(codes == s)) for s in State}
+    return shares
 
 
 def as_tables(contents: dict[str, Any]) -> RenderableType:

@@ -31,91 +31,57 @@ class Draft:
     reads fields that earlier stages set, and sets its own, which are unset until then.
     """
 
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    time: Any
-    """Time stamps [s], strictly increasing, shape (T,); of a frame a number."""
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    time: Any  # time stamps [s], strictly increasing, shape (T,); of a frame a number
     measured: Array
     """Joint positions [m], sensor frame with y up, NaN where missing, shape (J, 3);
     turned upright, with tracker failures repaired or discarded."""
-    state: Codes
-    """Tracking states (State), shape (J,), swapped where the positions are."""
-    source: str = "take"
-    """Where the take came from, for messages."""
-    by_kinect: bool = True
-    """True if the joints come from a Kinect's tracker."""
+    state: Codes  # tracking states (State), shape (J,), swapped where the positions are
+    source: str = "take"  # where the take came from, for messages
+    by_kinect: bool = True  # True if the joints come from a Kinect's tracker
     face: Array | None = None
     """Unit vectors to where the face looks, in the frame of ``positions``, NaN where
     unknown, shape (3,); None if the sensor does not see faces."""
-    elapsed: float = 1.0 / 30.0
-    """Time since the previous frame [s]; frames only."""
+    elapsed: float = 1.0 / 30.0  # time since the previous frame [s]; frames only
 
-    exchanged: Flags | None = None
-    """Whether edits swap left and right, shape (); None without edits."""
-    distrusted: Flags | None = None
-    """Joints that edits discard, as named after that, (J,); None without edits."""
-    failures: tuple[Failure, ...] = ()
-    """Gross tracker failures."""
-    reference: Reference = field(init=False)
-    """The person's segment lengths as measured."""
-    body: Body = field(init=False)
-    """The person's body."""
-    reliability: Array = field(init=False)
-    """Reliability of each joint in [0, 1], shape (J,)."""
-    geometry: Array = field(init=False)
-    """Reliability without the tracking state, shape (J,)."""
-    deciding_term: Codes = field(init=False)
-    """The reliability term that decided (Term), shape (J,)."""
-    hidden: Flags | None = None
-    """Joints that ``filled`` reconstructs, shape (J,); None without reconstruction."""
-    filled: Array = field(init=False)
-    """``measured`` with hidden joints reconstructed [m], shape (J, 3)."""
-    standard: Array = field(init=False)
-    """Joints [m] on the standard body, root at origin, facing +z, or NaN, (J, 3)."""
-    heading: HeadingFrame = field(init=False)
-    """Root position and heading that were removed from the standard posture."""
+    # None without edits:
+    exchanged: Flags | None = None  # whether edits swap left and right, shape ()
+    distrusted: Flags | None = None  # joints that edits discard, named after that, (J,)
+    failures: tuple[Failure, ...] = ()  # gross tracker failures
+    reference: Reference = field(init=False)  # the person's segment lengths as measured
+    body: Body = field(init=False)  # the person's body
+    reliability: Array = field(init=False)  # of each joint, in [0, 1], shape (J,)
+    geometry: Array = field(init=False)  # the same without the tracking state, (J,)
+    deciding_term: Codes = field(init=False)  # the term that decided (Term), (J,)
+    hidden: Flags | None = None  # joints in ``filled``, (J,); None without it
+    filled: Array = field(init=False)  # ``measured``, reconstructed if hidden, (J, 3)
+    standard: Array = field(init=False)  # joints [m] on the standard body, (J, 3)
+    heading: HeadingFrame = field(init=False)  # root and heading removed from that
     positions: Array = field(init=False)
     """Joint positions [m] after the latest stage, shape (J, 3): corrected, in the
     sensor frame; from the floor stage on in the world frame with the floor at y = 0;
     after physics those of the simulated character."""
-    confidence: Array = field(init=False)
-    """Share of the measurement in each joint, 0 where invented, shape (J,)."""
-    coverage: Any = field(init=False)
-    """How well the method knows the posture, in [0, 1] or NaN, shape ()."""
-    origin: Codes = field(init=False)
-    """Origin of each joint (Origin), shape (J,)."""
-    twist: NDArray[Any] | None = None
-    """World segment rotations to take the twist from, wxyz, shape (J, 4), or None."""
-    stands: Flags = field(init=False)
-    """Whether each foot (left, right) is planted, shape (2,)."""
-    contacts: Flags = field(init=False)
-    """Which parts of the feet are planted (CONTACTS), shape (4,); takes only."""
-    turn: Turn = field(default_factory=Turn)
-    """How the sensor frame, and with it ``measured``, was turned upright."""
-    tilt: float = 0.0
-    """Angle [rad] about x by which the frame was leveled after that."""
-    floor: float = 0.0
-    """Height of the floor in the leveled sensor frame [m]."""
-    bone_weights: Array = field(init=False)
-    """How firmly each joint keeps its place as bone lengths are restored, (J,)."""
-    rotations: Array = field(init=False)
-    """World segment rotations, wxyz, shape (J, 4)."""
-    posed: Array = field(init=False)
-    """Joint positions [m] of the body before physics, shape (J, 3); takes only."""
-    external_force: Any = float("nan")
-    """Force on the body beyond muscles and floor [body weights], shape ()."""
-    impossible: bool = False
-    """True if a body of impossible size or place was discarded; frames only."""
-    appears: bool = False
-    """True if the person is seen first, or suddenly elsewhere; frames only."""
-    reset: bool = False
-    """True if the character was reset onto its target (PhysicsTrace); frames only."""
-    trace: PhysicsTrace | None = None
-    """What the simulation did; takes only."""
-    props: tuple[Prop, ...] = ()
-    """Props around the character in the simulation; takes only."""
-    unedited: Unedited | None = None
-    """The take cleaned without edits, with the body, tilt and floor to use; or None."""
+    confidence: Array = field(init=False)  # share of the measurement in joints, (J,)
+    coverage: Any = field(init=False)  # of the posture, in [0, 1] or NaN, shape ()
+    origin: Codes = field(init=False)  # origin of each joint (Origin), shape (J,)
+    twist: NDArray[Any] | None = None  # rotations to take twists from, wxyz, (J, 4)
+    stands: Flags = field(init=False)  # which foot (left, right) is planted, (2,)
+    contacts: Flags = field(init=False)  # planted parts (CONTACTS), (4,); takes only
+    turn: Turn = field(default_factory=Turn)  # how the sensor frame was set upright
+    tilt: float = 0.0  # angle [rad] about x by which the frame was leveled after that
+    floor: float = 0.0  # height of the floor in the leveled sensor frame [m]
+    bone_weights: Array = field(init=False)  # how firmly joints keep places, (J,)
+    rotations: Array = field(init=False)  # world segment rotations, wxyz, shape (J, 4)
+    posed: Array = field(init=False)  # joints [m] before physics, (J, 3); takes only
+    external_force: Any = float("nan")  # beyond muscles and floor [body weights], ()
+    # Frames only:
+    impossible: bool = False  # a body of impossible size or place was discarded
+    appears: bool = False  # the person is seen first, or suddenly elsewhere
+    reset: bool = False  # the character was reset onto its target (PhysicsTrace)
+    # Takes only:
+    trace: PhysicsTrace | None = None  # what the simulation did
+    props: tuple[Prop, ...] = ()  # around the character in the simulation
+    unedited: Unedited | None = None  # the take cleaned without edits, if any
 
     @classmethod
     def of(cls, take: Take) -> Draft:
@@ -147,11 +113,8 @@ class Draft:
     def part(self, frames: slice) -> Draft:
         """Return the draft of some of a take's frames."""
         part = self.at(frames)
-        part.failures = tuple(
-            failure.moved(-frames.start)
-            for failure in self.failures
-            if frames.start <= failure.first < frames.stop
-        )
+        inside = (f for f in self.failures if frames.start <= f.first < frames.stop)
+        part.failures = tuple(failure.moved(-frames.start) for failure in inside)
         return part
 
     def put(self, part: Draft, frames: slice, which: Flags) -> None:
@@ -212,9 +175,6 @@ class Draft:
 class Unedited:
     """A take cleaned without edits, kept for cleaning parts of it again."""
 
-    corrected: Draft
-    """After correction."""
-    planted: Draft
-    """After the feet were planted."""
-    done: Draft
-    """After all stages."""
+    corrected: Draft  # after correction
+    planted: Draft  # after the feet were planted
+    done: Draft  # after all stages

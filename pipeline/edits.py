@@ -1,26 +1,7 @@
 """Manual corrections to a take: what is wrong in it, and how it really was.
 
-An edits file is TOML; times are in seconds after the take's first frame::
-
-    [[distrust]]                # ignore what the sensor reports
-    joints = ["right-arm"]
-    begin = 3.2
-    end = 3.9
-
-    [[exchange]]                # swap left and right
-    begin = 5.0
-    end = 5.5
-
-    [[contact]]                 # whether a foot is planted
-    part = "left foot"
-    stands = true
-    begin = 7.0
-    end = 7.4
-
-    [[pin]]                     # where a joint is
-    joint = "WristRight"
-    time = 3.5
-    position = [0.31, 1.42, 0.2]
+An edits file is TOML with ``_FIELDS``, times in seconds after the take's first frame;
+CONVENTIONS.md describes it.
 """
 
 import json
@@ -84,21 +65,14 @@ _ROUNDING = 5e-4  # s by which a time in a file may miss the frame it was taken 
 class Edit:
     """A manual correction over a span of time [s] after the take's first frame."""
 
-    kind: str
-    """``distrust``, ``exchange``, ``contact`` or ``pin``."""
+    kind: str  # ``distrust``, ``exchange``, ``contact`` or ``pin``
     begin: float
-    end: float
-    """Equal to ``begin`` for a pin."""
-    joints: tuple[str, ...] = ()
-    """Joints or limbs (LIMBS) to distrust, or the joint to pin."""
-    part: str = ""
-    """The part of the feet (FEET) whose contact is given."""
-    stands: bool = False
-    """Whether that part is planted."""
-    position: tuple[float, ...] = ()
-    """Where the joint is pinned [m], in the clip's frame, (3,)."""
-    source: str = field(default="", compare=False, repr=False)
-    """Where it comes from, such as ``wave.edits.toml: pin 1``."""
+    end: float  # equal to ``begin`` for a pin
+    joints: tuple[str, ...] = ()  # joints or limbs to distrust, or the joint to pin
+    part: str = ""  # the part of the feet (FEET) whose contact is given
+    stands: bool = False  # whether that part is planted
+    position: tuple[float, ...] = ()  # of the pinned joint [m], clip's frame, (3,)
+    source: str = field(default="", compare=False, repr=False)  # x.edits.toml: pin 1
 
     def __str__(self) -> str:
         return f"edited: {self.summary}"
@@ -188,23 +162,22 @@ def _edit(kind: str, row: Any, where: str) -> Edit:
     if not isinstance(row, dict) or set(row) != set(types):
         raise InputError(f"{where}: expected {', '.join(types)}; {_EXPECTED}")
     values = {n: converted(row[n], t, f"{where}: {n}") for n, t in types.items()}
-    joints = (values["joint"],) if kind == "pin" else values.get("joints", ())
-    if kind == "distrust" and not joints:
+    if kind == "pin":
+        values["joints"] = (values.pop("joint"),)
+        values["begin"] = values["end"] = values.pop("time")
+    edit = Edit(kind, **values, source=where)
+    if kind == "distrust" and not edit.joints:
         raise InputError(f"{where}: name joints, or a limb: {', '.join(LIMBS)}")
-    position = values.get("position", ())
-    near = len(position) == 3 and all(abs(x) < _FARTHEST for x in position)
+    near = len(edit.position) == 3 and all(abs(x) < _FARTHEST for x in edit.position)
     if kind == "pin" and not near:
         place = shown(row["position"])
         raise InputError(f"{where}: position is {place}, expected three numbers [m]")
-    time = values.get("time", 0.0)
-    begin, end = values.get("begin", time), values.get("end", time)
-    if not 0.0 <= begin <= end < LATEST_TIME_STAMP:
+    if not 0.0 <= edit.begin <= edit.end < LATEST_TIME_STAMP:
         raise InputError(
-            f"{where}: times {begin:g} to {end:g}: expected seconds after the first "
-            "frame, the end not before the beginning"
+            f"{where}: times {edit.begin:g} to {edit.end:g}: expected seconds after "
+            "the first frame, the end not before the beginning"
         )
-    part, stands = values.get("part", ""), values.get("stands", False)
-    return Edit(kind, begin, end, joints, part, stands, position, where)
+    return edit
 
 
 def with_contacts(contacts: Flags, edits: Iterable[Edit], since: Array) -> Flags:
@@ -237,45 +210,28 @@ def distrusted(edits: Iterable[Edit], since: Array, skeleton: Skeleton) -> Flags
 
 
 def edited(take: Take, edits: Sequence[Edit], since: Array) -> Take:
-    """Return a take with sides swapped, then without distrusted joints.
-
-    ``since`` as for ``Edit.frames``.
-    """
+    """Return a take with sides swapped, then without distrusted joints."""
     swapped = take.swapped(exchanged(edits, since))
     return swapped.without(distrusted(edits, since, take.skeleton))
 
 
 def check_edits(take: Take, edits: Sequence[Edit]) -> None:
-    """Raise an InputError if a take lacks an edit's joints or time, or none is left.
-
-    Nor may a joint be pinned twice in a frame.
-    """
+    """Raise an InputError if edits do not fit a take, or none of its joints is left."""
     since, pinned = take.time - take.time[0], set[tuple[str, int]]()
     for edit in edits:
-        frames = edit.frames(since)
-        _check(edit, frames, take)
+        frames, where = edit.frames(since), edit.source or f"{take.source}: an edit"
+        known = (*(() if edit.kind == "pin" else LIMBS), *take.skeleton.joints)
+        for name in edit.joints:
+            if name not in known:
+                hint = f"known: {', '.join(known)}"
+                raise InputError(f"{where}: unknown joint {shown(name)}; {hint}")
+        if not frames.any() or edit.begin > since[-1] + _ROUNDING:
+            hint = f"the take is {since[-1]:.1f} s long"
+            raise InputError(f"{where}: no frame is {edit.when}; {hint}")
         if edit.kind == "pin":
             pin = edit.joints[0], int(frames.argmax())
             if pin in pinned:
-                where = edit.source or f"{take.source}: an edit"
                 raise InputError(f"{where}: {pin[0]} is pinned there already; keep one")
             pinned.add(pin)
     if not np.isfinite(edited(take, edits, since).positions).any():
         raise InputError(f"{take.source}: the edits distrust every joint; leave some")
-
-
-def _check(edit: Edit, frames: Flags, take: Take) -> None:
-    """Raise an InputError if a take does not have an edit's joints or frames."""
-    where = edit.source or f"{take.source}: an edit"
-    limbs = () if edit.kind == "pin" else LIMBS
-    known = (*limbs, *take.skeleton.joints)
-    for name in edit.joints:
-        if name not in known:
-            raise InputError(
-                f"{where}: unknown joint {shown(name)}; known: {', '.join(known)}"
-            )
-    length = take.time[-1] - take.time[0]
-    if not frames.any() or edit.begin > length + _ROUNDING:
-        raise InputError(
-            f"{where}: no frame is {edit.when}; the take is {length:.1f} s long"
-        )

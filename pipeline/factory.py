@@ -20,9 +20,7 @@ def make_corrector(
 ) -> Corrector:
     """Return the correction method of a config for a skeleton.
 
-    The default removes the typical errors of a Kinect's tracker, and then applies local
-    PCA; for joints from other trackers (not ``by_kinect``) it is local PCA alone.
-
+    The default for joints from other trackers (not ``by_kinect``) is local PCA alone.
     Raises an InputError if the database or model is missing or for another skeleton.
     """
     if config.model is not None:
@@ -59,9 +57,8 @@ def _build(
 
 def default_corrector(database: PostureDatabase, **options: Any) -> Corrector:
     """Return the shipped learned corrector followed by local PCA with ``options``."""
-    skeleton = database.skeleton
-    methods = shipped_model(skeleton), LocalPCA(database, **options)
-    return CorrectorChain(*methods)
+    pca = LocalPCA(database, **options)
+    return CorrectorChain(shipped_model(database.skeleton), pca)
 
 
 def _database(skeleton: Skeleton, config: CleanConfig) -> PostureDatabase:
@@ -85,10 +82,8 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
             "train one on pairs of that skeleton"
         )
     if config.preset is not None and config.preset != model.preset:
-        raise InputError(
-            f"not a model of preset {config.preset}; train one with 'kinefilter train "
-            f"--preset {config.preset}'"
-        )
+        hint = f"train one with 'kinefilter train --preset {config.preset}'"
+        raise InputError(f"not a model of preset {config.preset}; {hint}")
     if config.method not in (None, model.method, "local-pca"):
         raise InputError(
             f"a model of method {model.method}, but --method is {config.method}; omit "
@@ -101,10 +96,8 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
             known = f"only {', '.join(people)}" if people else "and no one else"
-            raise InputError(
-                f"does not know {config.person!r}, {known}; train it on people with "
-                "'kinefilter train --people'"
-            )
+            hint = "train it on people with 'kinefilter train --people'"
+            raise InputError(f"does not know {config.person!r}, {known}; {hint}")
         corrector.select_person(config.person)
     if config.adapt:
         if "adapt" not in METHODS[model.method].options:

@@ -1,8 +1,9 @@
 """Conversion of settings to the types their fields are annotated with."""
 
 import os
-from dataclasses import fields, is_dataclass
+from contextlib import suppress
 from functools import cache
+from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
@@ -30,14 +31,8 @@ def type_hints(kind: Any) -> dict[str, Any]:
 
 def keyword_hints(kind: Any) -> dict[str, Any]:
     """Return the type of each keyword-only argument of a constructor."""
-    if is_dataclass(kind):
-        hints = get_type_hints(kind)
-        return {f.name: hints[f.name] for f in fields(kind) if f.init and f.kw_only}
-    function: Any = vars(kind).get("__init__") if isinstance(kind, type) else kind
-    if function is None:  # inherited
-        return keyword_hints(kind.__base__)
-    hints = get_type_hints(function)
-    return {name: hints[name] for name in function.__kwdefaults__ or {}}
+    given = signature(kind, eval_str=True).parameters.values()
+    return {p.name: p.annotation for p in given if p.kind is p.KEYWORD_ONLY}
 
 
 def check_fields(settings: Any) -> None:
@@ -68,10 +63,8 @@ def converted(value: object, hint: Any, where: str) -> Any:
             if type(value) is kind:
                 return value
         elif isinstance(value, Integral if kind is int else Real):
-            try:
+            with suppress(OverflowError, ValueError):  # of 400 digits
                 return kind(value)
-            except (OverflowError, ValueError):  # of 400 digits
-                pass
     allowed = " or ".join(
         ", ".join(f'"{word}"' for word in get_args(kind) if isinstance(word, str))
         or _WORDS.get(kind, "paths of files")

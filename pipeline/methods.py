@@ -1,7 +1,4 @@
-"""Correction methods and reliability scorers by name, imported when used.
-
-To add one, write a file and add a line here: command line and tests use these tables.
-"""
+"""Correction methods and reliability scorers by name, imported when used."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,14 +10,11 @@ from typing import Any, Literal, TypeAlias
 class Method:
     """The location of a correction method, and what it is constructed from."""
 
-    where: str
-    """``module:name`` below ``kinefilter.pipeline``."""
+    where: str  # ``module:name`` below ``kinefilter.pipeline``
     requires: Literal["skeleton", "database", "pairs"]
     """What its constructor takes; for ``pairs`` a skeleton, then ``fit`` trains it."""
-    options: tuple[str, ...] = ()
-    """Fields of ``CleanConfig`` that its constructor also takes."""
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    """Keywords of its constructor that have other defaults here."""
+    options: tuple[str, ...] = ()  # fields of ``CleanConfig`` that it also takes
+    constants: Mapping[str, Any] = field(default_factory=dict)  # its other defaults
 
     def load(self) -> Any:
         """Import and return the method's class or factory."""
@@ -61,9 +55,7 @@ METHODS = {
         "lab.methods.posture:NoReliability", "database", ("seed",), _SHUM
     ),
 }
-"""Correction methods."""
 LEARNED = {name: m for name, m in METHODS.items() if m.requires == "pairs"}
-"""Correction methods that are trained on pairs."""
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
     "chiang": "lab.scorers.chiang_scorer:ChiangReliabilityScorer",

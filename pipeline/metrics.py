@@ -20,10 +20,8 @@ from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.support import unexplained
 
-SKATE_HEIGHT = 0.05
-"""Height [m] above its standing height under which a foot joint should not slide."""
-SKATE_SPEED = 0.2
-"""Speed [m/s] above which a foot on the floor visibly skates."""
+SKATE_HEIGHT = 0.05  # m above its standing height, below which no foot should slide
+SKATE_SPEED = 0.2  # speed [m/s] above which a foot on the floor visibly skates
 
 _SHORTEST_FLIGHT = 5  # frames to fit a parabola to
 
@@ -75,8 +73,7 @@ def jitter(time: Array, positions: Array) -> float:
     Only runs of four frames with the joint count, evenly spaced within half a step.
     """
     third, nominal = even_differences(time, positions, 3)
-    third = _known(third.T)
-    return float(third.mean() / nominal**3) if len(third) else float("nan")
+    return _mean(third.T) / nominal**3
 
 
 def even_differences(time: Array, positions: Array, order: int) -> tuple[Array, float]:

@@ -26,16 +26,11 @@ _FARTHEST = 1.0  # m: no sensor misplaces a joint of a T-pose by more
 class Model:
     """A learned corrector and its provenance."""
 
-    corrector: LearnedCorrector
-    """The fitted method."""
-    method: str
-    """Name of the method."""
-    skeleton: Skeleton
-    """The joints it was trained for."""
-    source: str
-    """The training data, in words."""
-    preset: str | None = None
-    """The preset it was trained as."""
+    corrector: LearnedCorrector  # the fitted method
+    method: str  # name of the method
+    skeleton: Skeleton  # the joints it was trained for
+    source: str  # the training data, in words
+    preset: str | None = None  # the preset it was trained as
 
 
 def save_model(model: Model, path: Path) -> None:
@@ -114,7 +109,6 @@ def load_model(path: Path) -> Model:
             _try_out(corrector)
     except (InputError, KeyError, ValueError, *_DAMAGED) as error:
         wrong = f"no array {error}" if isinstance(error, KeyError) else error
-        raise InputError(
-            f"{path}: a damaged or outdated model: {wrong}; train again"
-        ) from None
+        told = f"a damaged or outdated model: {wrong}; train again"
+        raise InputError(f"{path}: {told}") from None
     return Model(corrector, method, skeleton, source, preset)

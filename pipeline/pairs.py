@@ -20,10 +20,8 @@ from .formats.recording import FARTHEST
 class PairedTake:
     """A take and the simultaneous marker mocap of its frames, the ground truth."""
 
-    take: Take
-    """The recording."""
-    truth: Array
-    """Mocap joint positions [m], the take's frame, NaN where missing, (T, J, 3)."""
+    take: Take  # the recording
+    truth: Array  # mocap joints [m], the take's frame, NaN where missing, (T, J, 3)
     subject: str
     clip: str
 
@@ -54,13 +52,11 @@ def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:
     try:
         return _clips_of(path, arrays)
     except KeyError as error:
-        raise InputError(
-            f"{path}: no array {error}; make pairs by 'kinefilter pair'"
-        ) from None
+        hint = "make pairs by 'kinefilter pair'"
+        raise InputError(f"{path}: no array {error}; {hint}") from None
     except (ValueError, TypeError, IndexError, OverflowError) as error:
-        raise InputError(
-            f"{path}: its arrays are not pairs ({type(error).__name__}); write it again"
-        ) from None
+        wrong = f"its arrays are not pairs ({type(error).__name__})"
+        raise InputError(f"{path}: {wrong}; write it again") from None
 
 
 def _clips_of(path: Path, arrays: dict[str, NDArray[Any]]) -> list[PairedTake]:

@@ -45,23 +45,24 @@ _MOST = 1000  # cuts; assigning the pieces of more takes too long
 class Track(NamedTuple):
     """The frames that a sensor's tracker takes for one person."""
 
+    time: Array  # time stamps [s], never decreasing, (T,)
+    positions: Array  # joints [m], y up, frame of all tracks, or NaN, (T, J, 3)
+    skeleton: Skeleton  # the joints
+    sensor: int = 0  # number of the sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Frames of a track throughout which it shows the same person."""
+
+    track: int  # number of the track, from 0
+    sensor: int
+    rows: Indices  # the frames, in order
     time: Array
-    """Time stamps [s], never decreasing, (T,)."""
-    positions: Array
-    """Joints [m], y up, in the frame of all tracks, NaN where missing, (T, J, 3)."""
-    skeleton: Skeleton
-    """The joints."""
-    sensor: int = 0
-    """Number of the sensor."""
-
-
-class Part(NamedTuple):
-    """Frames of a track that show one person."""
-
-    track: int
-    """Number of the track, from 0."""
-    rows: Indices
-    """The frames, in order."""
+    places: Array  # over the floor [m], (T, 2)
+    lengths: Array  # of segments [m], (K,)
+    first: tuple[Array, Array]  # place [m], and velocity [m/s] or NaN, at its beginning
+    last: tuple[Array, Array]  # the same at its end
 
 
 def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
@@ -74,9 +75,9 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
 
     pieces, separable = _pieces(tracks)
     if not separable:
-        return [[Part(piece.track, piece.rows)] for piece in pieces]
-    left = sorted(pieces, key=lambda piece: piece.start)
-    people: list[list[_Piece]] = []
+        return [[piece] for piece in pieces]
+    left = sorted(pieces, key=lambda piece: piece.time[0])
+    people: list[list[Part]] = []
     while left:
         group = _beginning(left)
         left = [piece for piece in left if piece not in group]
@@ -89,29 +90,7 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
         for row, column in zip(*linear_sum_assignment(costs), strict=True):
             people[column].append(group[row])
         people = [person for person in people if person]
-    return [[Part(piece.track, piece.rows) for piece in person] for person in people]
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """Frames of a track throughout which it shows the same person."""
-
-    track: int
-    sensor: int
-    rows: Indices
-    time: Array
-    places: Array  # over the floor [m], (T, 2)
-    lengths: Array  # of segments [m], (K,)
-    first: tuple[Array, Array]  # place [m], and velocity [m/s] or NaN, at its beginning
-    last: tuple[Array, Array]  # the same at its end
-
-    @property
-    def start(self) -> float:
-        return float(self.time[0])
-
-    @property
-    def end(self) -> float:
-        return float(self.time[-1])
+    return people
 
 
 def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
@@ -124,7 +103,7 @@ def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
     return place, velocity
 
 
-def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
+def _pieces(tracks: Sequence[Track]) -> tuple[list[Part], bool]:
     """Return tracks cut where the person may change; uncut, and False, if too often."""
     seen, places, cuts = [], [], list[set[int]]()
     for track in tracks:
@@ -155,7 +134,7 @@ def _pieces(tracks: Sequence[Track]) -> tuple[list[_Piece], bool]:
                 lengths = _lengths(track.positions[sample], track.skeleton)
                 place, time = places[k][part], track.time[rows]
                 ends = (_motion(time, place, when) for when in (time[0], time[-1]))
-                found.append(_Piece(k, track.sensor, rows, time, place, lengths, *ends))
+                found.append(Part(k, track.sensor, rows, time, place, lengths, *ends))
     return found, separable
 
 
@@ -165,11 +144,9 @@ def _crossings(one: Array, other: Array) -> Indices:
     These are where each continues from the other's place, or they are nearest.
     """
     apart = np.linalg.norm(one - other, axis=1)
-    steps = [
-        np.linalg.norm(a[1:] - b[:-1], axis=1)
-        for a, b in ((one, one), (other, other), (one, other), (other, one))
-    ]
-    found = 1 + np.flatnonzero(steps[2] + steps[3] < steps[0] + steps[1])
+    both = np.stack([one, other])
+    steps = np.linalg.norm(both[:, None, 1:] - both[:, :-1], axis=3)  # to and from
+    found = 1 + np.flatnonzero(steps[0, 1] + steps[1, 0] < steps[0, 0] + steps[1, 1])
     for spell in runs(apart < _NEAR):
         if not ((found >= spell.start) & (found < spell.stop)).any():
             found = np.append(found, spell.start + np.argmin(apart[spell]))
@@ -179,8 +156,7 @@ def _crossings(one: Array, other: Array) -> Indices:
 def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     """Return medians over frames of lengths that tell people apart [m], (K,)."""
     lengths = segment_lengths(positions, skeleton)
-    pairs = [lengths[:, skeleton.sides(part)] for part in _SIDES]
-    columns = [0.5 * (left + right) for left, right in (pair.T for pair in pairs)]
+    columns = [lengths[:, skeleton.sides(part)].mean(axis=1) for part in _SIDES]
     girdle = positions[:, skeleton.girdle]
     for joint in (skeleton.root, skeleton.index("Head")):
         columns.append(np.linalg.norm(positions[:, joint] - girdle, axis=1))
@@ -190,7 +166,7 @@ def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     return column_medians(np.stack(columns, axis=1))
 
 
-def _beginning(left: Sequence[_Piece]) -> list[_Piece]:
+def _beginning(left: Sequence[Part]) -> list[Part]:
     """Return the first piece, and those of its sensor that begin while it lasts."""
     group = [left[0]]
     for piece in left[1:]:
@@ -201,11 +177,11 @@ def _beginning(left: Sequence[_Piece]) -> list[_Piece]:
     return group
 
 
-def _overlap(one: _Piece, other: _Piece) -> bool:
-    return one.start <= other.end and other.start <= one.end
+def _overlap(one: Part, other: Part) -> bool:
+    return bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
 
 
-def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
+def _cost(person: Sequence[Part], piece: Part) -> float:
     """Return the cost of assigning a piece to a person."""
     both = [other for other in person if _overlap(other, piece)]
     if any(other.sensor == piece.sensor for other in both):
@@ -217,11 +193,11 @@ def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
         if distance > _APART:
             return _IMPOSSIBLE
         return cost + 0.5 * (distance / _ACROSS) ** 2 + 2.0 * float(np.log(_ACROSS))
-    before = [other for other in person if other.end < piece.start]
+    before = [other for other in person if other.time[-1] < piece.time[0]]
     if not before:
         return _IMPOSSIBLE
-    last = max(before, key=lambda other: other.end)
-    gap = piece.start - last.end
+    last = max(before, key=lambda other: other.time[-1])
+    gap = float(piece.time[0] - last.time[-1])
     (place, velocity), (there, next_velocity) = last.last, piece.first
     # Over a short gap the person moves at the mean velocity; a long one tells nothing.
     velocities = np.array([velocity, next_velocity])
@@ -236,14 +212,14 @@ def _cost(person: Sequence[_Piece], piece: _Piece) -> float:
     return cost + 0.5 * float(change @ change) / (_SPEED + _CHANGE * gap) ** 2
 
 
-def _distances(piece: _Piece, other: _Piece) -> Array:
+def _distances(piece: Part, other: Part) -> Array:
     """Return distances [m] of the places of two sensors at the same times."""
-    inside = (piece.time >= other.start) & (piece.time <= other.end)
+    inside = (piece.time >= other.time[0]) & (piece.time <= other.time[-1])
     there = [np.interp(piece.time[inside], other.time, x) for x in other.places.T]
     return np.asarray(np.hypot(*(piece.places[inside].T - there)))
 
 
-def _cost_of_lengths(person: Sequence[_Piece], piece: _Piece) -> float:
+def _cost_of_lengths(person: Sequence[Part], piece: Part) -> float:
     """Return the cost of a piece's lengths against the person's by the same sensor."""
     own = [other for other in person if other.sensor == piece.sensor]
     if not own:
@@ -253,7 +229,7 @@ def _cost_of_lengths(person: Sequence[_Piece], piece: _Piece) -> float:
     weights = np.where(np.isnan(lengths), 0.0, counts[:, None])
     total = weights.sum(axis=0)
     mean = (weights * np.nan_to_num(lengths)).sum(axis=0) / np.maximum(total, 1.0)
-    seconds = [max(sum(p.end - p.start for p in some), 0.1) for some in (own, [piece])]
+    seconds = [max(sum(np.ptp(p.time) for p in some), 0.1) for some in (own, [piece])]
     variance = _DEVIATIONS**2 * (1.0 + sum(_BRIEF / s for s in seconds))
     off = np.where(total > 0.0, (piece.lengths - mean) ** 2 / variance, 0.0)
     return 0.5 * float(np.nansum(off)) / _TOGETHER

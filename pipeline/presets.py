@@ -1,42 +1,24 @@
-"""The papers' systems by name, and the parameters that ``--set`` changes.
+"""The papers' systems by name, as data: a method, a scorer, constants and stages."""
 
-A preset is data: a method and a scorer with their constants, and the stages of
-``clean`` that the paper has. ``pipeline/lab/DEPARTURES.md`` lists how the default of
-``clean`` departs from the papers, with the benefit of each departure.
-"""
-
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias
-
-from kinefilter.characters import InputError, Tracking
-
-from .field_types import converted, keyword_hints, type_hints
-from .methods import METHODS, SCORERS, load
-
-_MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all others
 
 
 @dataclass(frozen=True)
 class Preset:
     """A paper's system: scoring, correction and the stages after them."""
 
-    method: str
-    """Name of its method in ``METHODS``."""
+    method: str  # name of its method in ``METHODS``
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Constants of the method: the paper's, or our choice where it gives none."""
-    scoring: str = "shum"
-    """Name of its scorer in ``SCORERS``, which also selects the training data."""
-    physics: bool = False
-    """Whether a simulated character follows the corrected joints."""
+    scoring: str = "shum"  # name in ``SCORERS``; also selects the training data
+    physics: bool = False  # whether a simulated character follows the corrected joints
 
     @property
     def stages(self) -> dict[str, Any]:
-        """Fields of ``CleanConfig`` that the preset decides.
-
-        No paper smooths, plants feet or reconstructs hidden limbs.
-        """
+        """Fields of ``CleanConfig`` that the preset decides."""
+        # No paper smooths, plants feet or reconstructs hidden limbs.
         own = {"method": self.method, "scoring": self.scoring, "physics": self.physics}
         return own | {"reconstruct": False, "cutoff": 0.0, "feet": "never"}
 
@@ -79,7 +61,6 @@ PRESETS = {
         "low-rank", {"sparsity": 1.0, "growth": 1.05, "iterations": 1000}
     ),
 }
-"""Presets by name."""
 PresetName: TypeAlias = Literal[tuple(PRESETS)]  # type: ignore[valid-type]
 
 
@@ -87,58 +68,7 @@ class Parameters(NamedTuple):
     """Parameters from ``--set`` and a preset, by what they configure."""
 
     method: dict[str, Any]
-    given: dict[str, Any]
-    """Those of the method from ``--set`` alone."""
+    given: dict[str, Any]  # those of the method from ``--set`` alone
     scorer: dict[str, Any]
     tracking: dict[str, Any]
     stages: dict[str, Any]
-
-
-def parameters(
-    preset: str | None,
-    method: str,
-    scoring: str,
-    assigned: Sequence[str],
-    stages: Mapping[str, Any],
-) -> Parameters:
-    """Return the parameters of a method or preset, with those assigned changed.
-
-    Assignments are NAME=VALUE, of a keyword of the method's or scorer's constructor, a
-    tracking gain, or one of ``stages``: the config fields that the preset decides, with
-    their types. Raises an InputError for an unknown name or unsuitable value.
-    """
-    of_method = dict(PRESETS[preset].settings) if preset else {}
-    found = Parameters(of_method, {}, {}, {}, {})
-    if not assigned:
-        return found
-    groups = (
-        (keyword_hints(METHODS[method].load()), found.given),
-        (keyword_hints(load(SCORERS[scoring])), found.scorer),
-        (type_hints(Tracking), found.tracking),
-        (stages, found.stages),
-    )
-    for assignment in assigned:
-        name, equals, text = assignment.partition("=")
-        group = next((group for group in groups if name in group[0]), None)
-        if group is None or not equals:
-            known = ", ".join(dict.fromkeys(n for hints, _ in groups for n in hints))
-            what = f"preset {preset}" if preset else f"method {method}"
-            expected = f"NAME=VALUE, with a parameter of {what}: {known}"
-            raise InputError(f"--set {assignment}: expected {expected}")
-        hints, values = group
-        value = converted(_parsed(text), hints[name], f"--set {name}")
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            least = int(isinstance(value, int) and name != "seed")
-            if not least <= value <= _MOST:
-                raise InputError(f"--set {name}={value}: expected {least} to {_MOST}")
-        values[name] = value
-    found.method.update(found.given)
-    return found
-
-
-def _parsed(text: str) -> Any:
-    """Return a number, true or false, or else the text itself."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text

@@ -4,6 +4,7 @@ The default scorer, after Shum 2013, section IV; ``pipeline.methods`` names the 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,26 +22,20 @@ _LATELY = 300  # frames whose mean is the usual score in live motion. A guess.
 class Reference:
     """The person's segment lengths and directions, against which frames are judged."""
 
-    lengths: Array
-    """Length [m] of the segment to each joint, NaN if never seen or the root, (J,)."""
+    lengths: Array  # of the segment to each joint [m], NaN if never seen or root, (J,)
     directions: Array
     """Median direction of trunk, hip and shoulder segments in the trunk's frame (x is
     left, y along the spine), as this sensor sees them, NaN for others, shape (J, 3)."""
-    from_reference_posture: bool
-    """True if measured in a T-pose or standing, as Shum does; False if the take has no
-    such frame, and these are medians over frames in which both ends are tracked."""
+    from_reference_posture: bool  # measured in a T-pose or standing, as Shum does
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
     """Reliability of every joint in every frame."""
 
-    reliability: Array
-    """R in [0, 1], shape (T, J) (eq. 8)."""
-    term: Codes
-    """The deciding term (Term) of the frame itself, shape (T, J)."""
-    geometry: Array
-    """The reliability from positions alone, without the tracking state, (T, J)."""
+    reliability: Array  # R in [0, 1], shape (T, J) (eq. 8)
+    term: Codes  # the deciding term (Term) of the frame itself, shape (T, J)
+    geometry: Array  # from positions alone, without the tracking state, (T, J)
 
 
 class UsualScores:
@@ -68,8 +63,7 @@ class UsualScores:
         spoiled = self._since < _AVERAGED
         good = tracked & ~spoiled
         self._counts[good] = np.minimum(self._counts[good] + 1, _LATELY)
-        change = (scores - self._usual)[:, good] / self._counts[good]
-        self._usual[:, good] += change
+        self._usual[:, good] += (scores - self._usual)[:, good] / self._counts[good]
         known = hidden | spoiled & (self._counts > 0)
         return np.where(known, self._usual, scores)
 
@@ -150,15 +144,9 @@ def measure_body(
     By default the reference is measured in the take, the height [m] follows from it,
     and the mass [kg] from the height. Raises InputError for an inhuman height or mass.
     """
-    measured = reference or measure_reference(take)
-    return measured_body(
-        take.skeleton,
-        measured.lengths,
-        measured.directions,
-        height=height,
-        mass=mass,
-        source=take.source,
-    )
+    found = reference or measure_reference(take)
+    sizes: dict[str, Any] = {"height": height, "mass": mass, "source": take.source}
+    return measured_body(take.skeleton, found.lengths, found.directions, **sizes)
 
 
 def _trunk_directions(take: Take) -> Array:
@@ -178,8 +166,7 @@ def _trunk_directions(take: Take) -> Array:
     for j in trunk:
         bones = points[:, j] - points[:, skeleton.parents[j]]
         median = np.median((frame @ bones[..., None])[..., 0], axis=0)
-        norm = np.linalg.norm(median)
-        if norm > 1e-9:
+        if (norm := np.linalg.norm(median)) > 1e-9:
             directions[j] = median / norm
     return directions
 
@@ -188,8 +175,7 @@ def column_medians(values: Array) -> Array:
     """Return medians over axis 0 that ignore NaN; NaN for columns of only NaN."""
     known = np.count_nonzero(~np.isnan(values), axis=0)
     middle = np.maximum([(known - 1) // 2, known // 2], 0)
-    # NaN is sorted to the end.
-    ordered = np.sort(values, axis=0)
+    ordered = np.sort(values, axis=0)  # NaN at the end
     return np.asarray(np.take_along_axis(ordered, middle, axis=0).mean(axis=0))
 
 

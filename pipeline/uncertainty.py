@@ -103,11 +103,10 @@ def _nearest_judged(skeleton: Skeleton) -> list[list[int]]:
     sides = map(skeleton.sides, ("Shoulder", "Hip"))
     shoulders, hips = ([joints.index(j) for j in pair] for pair in sides)
     upper = {skeleton.girdle, *skeleton.descendants(skeleton.girdle)}
+    hanging = [(j, *skeleton.descendants(j)) for j in joints]
     columns = []
     for j in range(len(skeleton)):
         # Of the judged joints it hangs from, the outermost comes last.
-        above = [
-            k for k, top in enumerate(joints) if j in (top, *skeleton.descendants(top))
-        ]
+        above = [k for k, part in enumerate(hanging) if j in part]
         columns.append(above[-1:] or (shoulders if j in upper else hips))
     return columns

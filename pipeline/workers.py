@@ -155,9 +155,8 @@ class Workers(ThreadPoolExecutor):
 
     def _start(self) -> tuple[BaseProcess, Any]:
         calls, theirs = self._context.Pipe()
-        process = self._context.Process(
-            target=_serve, args=(theirs, self._receiver), daemon=True
-        )
+        args = theirs, self._receiver
+        process = self._context.Process(target=_serve, args=args, daemon=True)
         with self._starting, theirs, set_variables(_ONE_THREAD), _uninterrupted():
             process.start()
         self._processes.append(process)

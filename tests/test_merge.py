@@ -21,7 +21,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulation import simulate_session
 from kinefilter.pipeline.merge import Fused, Fusion, Sight, align
-from kinefilter.pipeline.merge.facing import Facing
+from kinefilter.pipeline.merge.fusion import Facing
 from kinefilter.pipeline.merge.rigid import Placement, placement
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.sensor import in_sensor_frame

@@ -1,12 +1,7 @@
-"""Workers that clean takes: local processes, or those of a Dask cluster.
-
-Workers of a cluster may join and leave. Anyone who can reach a Dask scheduler can run
-code on its workers, so keep it on a private network.
-"""
+"""Workers that clean takes: local processes, or those of a Dask cluster."""
 
 import logging
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
@@ -32,12 +27,11 @@ _REPORT_DELAY = 2.0  # s for the row of a hanging take to reach the scheduler; a
 _one_at_a_time = Lock()
 
 
-class Crew(ABC):
-    """Workers that do jobs."""
+class Crew:
+    """Local processes, each of which does one job at a time."""
 
-    room: int  # maximum number of jobs at a time
-
-    def __init__(self) -> None:
+    def __init__(self, room: int, pool: Any) -> None:
+        self.room, self._pool = room, pool  # maximum number of jobs at a time
         self._running: dict[Future[Row], Job] = {}
         self._done = SimpleQueue[Future[Row]]()
 
@@ -64,37 +58,14 @@ class Crew(ABC):
         jobs = [(future, self._running.pop(future)) for future in done]
         return [(job, self._row(future, job)) for future, job in jobs]
 
-    @abstractmethod
     def end(self) -> None:
         """End the workers within seconds, even busy ones; may be called repeatedly."""
-
-    @abstractmethod
-    def _start(self, job: Job) -> Future[Row]: ...
-
-    @abstractmethod
-    def _row(self, done: Future[Row], job: Job) -> Row | None: ...
-
-
-def open_crew(scheduler: str | None, jobs: int) -> Crew:
-    """Return the workers of a Dask scheduler, or ``jobs`` local processes.
-
-    Raises InputError if the scheduler does not answer, or Dask is not installed.
-    """
-    return _Processes(jobs) if scheduler is None else _Cluster(scheduler)
-
-
-class _Processes(Crew):
-    """Local processes, each of which does one job at a time."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__()
-        self.room, self._workers = count, Workers(count)
-
-    def end(self) -> None:
-        self._workers.end()
+        self._pool.end()
 
     def _start(self, job: Job) -> Future[Row]:
-        return self._workers.submit_within(job.limit, partial(clean_file, job))
+        started: Future[Row]
+        started = self._pool.submit_within(job.limit, partial(clean_file, job))
+        return started
 
     def _row(self, done: Future[Row], job: Job) -> Row | None:
         try:
@@ -105,6 +76,14 @@ class _Processes(Crew):
             return None
 
 
+def open_crew(scheduler: str | None, jobs: int) -> Crew:
+    """Return the workers of a Dask scheduler, or ``jobs`` local processes.
+
+    Raises InputError if the scheduler does not answer, or Dask is not installed.
+    """
+    return Crew(jobs, Workers(jobs)) if scheduler is None else _Cluster(scheduler)
+
+
 class _Cluster(Crew):
     """The workers of a Dask scheduler.
 
@@ -112,10 +91,7 @@ class _Cluster(Crew):
     setting ``distributed.scheduler.allowed-failures`` allows.
     """
 
-    room = _MAX_SCHEDULED
-
     def __init__(self, address: str) -> None:
-        super().__init__()
         require("distributed", "--scheduler", "cluster")
         import distributed
 
@@ -125,11 +101,9 @@ class _Cluster(Crew):
             client: Any = distributed.Client
             self._client = client(address, timeout=_CONNECT_TIMEOUT)
         except (OSError, ValueError) as error:
-            raise InputError(
-                f"--scheduler {address}: no scheduler answers ({error}); start one "
-                "with 'dask scheduler'"
-            ) from None
-        self._pool = self._client.get_executor(pure=False)
+            wrong = f"no scheduler answers ({error}); start one with 'dask scheduler'"
+            raise InputError(f"--scheduler {address}: {wrong}") from None
+        super().__init__(_MAX_SCHEDULED, self._client.get_executor(pure=False))
 
     def end(self) -> None:
         running, self._running = self._running, {}
@@ -153,10 +127,8 @@ class _Cluster(Crew):
         try:
             return done.result()
         except CancelledError:
-            raise InputError(
-                "the cluster is gone; restart it, and run the same command again to "
-                "resume"
-            ) from None
+            hint = "restart it, and run the same command again to resume"
+            raise InputError(f"the cluster is gone; {hint}") from None
         except KilledWorker:
             return None
         except Exception as error:  # e.g. a worker with another version of kinefilter

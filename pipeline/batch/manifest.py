@@ -73,12 +73,8 @@ class Row:
     seconds: float = 0.0  # computing time
     clips: tuple[ClipRow, ...] = ()  # one per person or part
     error: str = ""  # why a clip is missing
-    sensors: tuple[dict[str, Any], ...] = ()
-    """Each sensor's take and alignment in a session (``Merged.figures``); a single one
-    for a take without a partner."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """Settings that are not the defaults, as in a ``kinefilter.toml``; without the
-    edits beside the take."""
+    sensors: tuple[dict[str, Any], ...] = ()  # each one's take, and ``Merged.figures``
+    options: dict[str, Any] = field(default_factory=dict)  # as in a ``kinefilter.toml``
 
     def as_json(self) -> str:
         """Return the row as a line of JSON, without a line break."""
@@ -91,11 +87,9 @@ class Row:
         try:
             # Rows of older versions lack damage, sensors and options.
             for clip in values["clips"]:
-                for key in ("notes", "damage"):
-                    clip[key] = tuple(clip.get(key, ()))
+                clip |= {key: tuple(clip.get(key, ())) for key in ("notes", "damage")}
             values["clips"] = tuple(ClipRow(**clip) for clip in values["clips"])
             values["sensors"] = tuple(values.get("sensors", ()))
-            values["options"] = dict(values.get("options", {}))
             return cls(**values)
         except (TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"not a row of a manifest: {error}") from None
@@ -112,10 +106,7 @@ def _with_line(row: Row) -> tuple[Row, str]:
 
 
 class Manifest:
-    """The manifest of an output folder: a file that only this process writes.
-
-    ``rows`` maps the name of each take to its last row.
-    """
+    """The manifest of an output folder; ``rows`` has the last row of each take."""
 
     def __init__(self, file: io.FileIO, path: Path) -> None:
         rows, length = parse_rows(file.readall(), str(path))
@@ -139,10 +130,9 @@ class Manifest:
         try:
             append_whole(self._file, "".join(lines).encode())
         except OSError as error:
-            raise InputError(
-                f"{self._path}: cannot be written ({error.strerror}); free some space, "
-                "and run the same command again to resume"
-            ) from error
+            wrong = f"cannot be written ({error.strerror})"
+            hint = "free some space, and run the same command again to resume"
+            raise InputError(f"{self._path}: {wrong}; {hint}") from error
 
 
 @contextmanager
@@ -161,9 +151,8 @@ def open_manifest(store: Store) -> Iterator[Manifest]:
         path.touch()
         file = path.open("rb+", buffering=0)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose another folder"
-        ) from error
+        wrong = f"cannot be written ({error.strerror})"
+        raise InputError(f"{path}: {wrong}; choose another folder") from error
     with file:
         try:
             # The system releases the lock when the process ends, however it ends.
@@ -222,10 +211,9 @@ def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
         except ValueError as error:
             if end == len(data):
                 break
-            raise InputError(
-                f"{name}: line {len(rows) + 1} is damaged ({error}); delete it to "
-                "clean its take again"
-            ) from None
+            wrong = f"line {len(rows) + 1} is damaged ({error})"
+            hint = "delete it to clean its take again"
+            raise InputError(f"{name}: {wrong}; {hint}") from None
         if line.endswith(b"\n"):
             rows.append(row)
             length = end
@@ -233,17 +221,13 @@ def parse_rows(data: bytes, name: str) -> tuple[list[Row], int]:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Return the last row of each take in the manifest of a local output folder.
-
-    Raises InputError if the folder has no manifest, or a damaged one.
-    """
+    """Return the last row of each take in a local manifest, or raise an InputError."""
     path = folder / _LINES
     try:
         rows, _ = parse_rows(path.read_bytes(), str(path))
     except FileNotFoundError:
-        raise InputError(
-            f"{folder}: no {_LINES}; give a folder of clips from 'kinefilter batch'"
-        ) from None
+        hint = "give a folder of clips from 'kinefilter batch'"
+        raise InputError(f"{folder}: no {_LINES}; {hint}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     return list({row.take: row for row in rows}.values())

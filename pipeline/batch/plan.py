@@ -81,10 +81,8 @@ def find_sources(inputs: Sequence[str], out: str) -> list[Source]:
 def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
     store, root = store_at(place), canonical(place)
     if root == canonical(out):
-        raise InputError(
-            f"{out}: is also searched for takes; write into another folder, for "
-            "example inside it"
-        )
+        hint = "write into another folder, for example inside it"
+        raise InputError(f"{out}: is also searched for takes; {hint}")
     # Output inside the searched folder is skipped.
     written = f"{canonical(out)}/".removeprefix(f"{root}/")
     return [
@@ -114,10 +112,8 @@ def clip_names(
     names, longer = list[str](), [str(PurePosixPath(p).with_suffix("")) for p in plain]
     while names != longer:
         names, counts = longer, Counter(map(key, longer))
-        longer = [
-            take if counts[key(name)] > 1 else name
-            for take, name in zip(takes, names, strict=True)
-        ]
+        pairs = zip(takes, names, strict=True)
+        longer = [take if counts[key(name)] > 1 else name for take, name in pairs]
     return [name + suffix for name in unique_names(map(_cut, names), str.casefold)]
 
 
@@ -129,8 +125,7 @@ def _cut(name: str) -> str:
 def unique_names(names: Iterable[str], key: Callable[[str], str] = str) -> list[str]:
     """Make names unique by prefixing duplicates with a number.
 
-    Names with the same key are duplicates. In a path, the number is put before the last
-    part.
+    Names with the same key are duplicates. In a path, the last part gets the number.
     """
     taken: dict[str, int] = {}  # the last number used for each key
     unique = []
@@ -167,10 +162,9 @@ class Job:
     @property
     def size(self) -> int:
         """Approximate size of the take as text [bytes], to estimate its duration."""
-        return 1 + sum(
-            file.size * (_COMPRESSION if file.name.lower().endswith(".gz") else 1)
-            for file in (source.file for source in self.sources)
-        )
+        files = [source.file for source in self.sources]
+        packed = sum(file.size for file in files if file.name.lower().endswith(".gz"))
+        return 1 + sum(file.size for file in files) + (_COMPRESSION - 1) * packed
 
     @property
     def stamp(self) -> str:
@@ -179,16 +173,13 @@ class Job:
 
     def row(self, status: Status, **values: Any) -> Row:
         """Return the take's row of the manifest."""
-        sensors = tuple(
-            {"sensor": sensor, "source": source.take}
-            for sensor, source in zip(self.sensors, self.sources, strict=False)
-        )
+        pairs = zip(self.sensors, self.sources, strict=False)
+        sensors = tuple({"sensor": name, "source": one.take} for name, one in pairs)
         options = as_table(self.settings)
         if options.get("edits") == str(_beside(self.sources[0])):
             del options["edits"]
         own = {"settings": self.fingerprint, "options": options, "sensors": sensors}
-        values = own | values
-        return Row(self.take, status, self.output, self.stamp, **values)
+        return Row(self.take, status, self.output, self.stamp, **own | values)
 
     def is_done(self, row: Row, written: Mapping[str, StoredFile]) -> bool:
         """Return True if an earlier run did this job and its clips are still there.
@@ -201,12 +192,10 @@ class Job:
         try:
             hashes = (source.store.sha256(source.file.name) for source in self.sources)
             same = self.stamp == row.stamp or row.sha256 == " ".join(hashes)
+            sha256 = self.store.sha256
             return (same and row.output == self.output) and all(
                 (file := written.get(clip.output)) is not None
-                and (
-                    file.stamp == clip.stamp
-                    or self.store.sha256(file.name) == clip.sha256
-                )
+                and (file.stamp == clip.stamp or sha256(file.name) == clip.sha256)
                 for clip in row.clips
             )
         except InputError:  # unreadable, which the job itself will report
@@ -244,20 +233,14 @@ def plan_jobs(
         place = store.path(name)
         relative_to = Path(place).parent if store.is_local else None
         found = overlaid(above, parse_settings(text, place, relative_to), given)
-        of_folders[place] = found
-        return found
-
-    of_folders: dict[str, Settings] = {}
-    chosen = [
-        settings_of(source.store, PurePosixPath(source.file.name).parent)
-        for source in sources
-    ]
-    _check(settings, out, suffix)
-    for place, found in of_folders.items():
         try:
             _check(found, out, suffix)
         except InputError as error:
             raise InputError(f"{place}: {error}") from None
+        return found
+
+    _check(settings, out, suffix)
+    chosen = [settings_of(s.store, PurePosixPath(s.file.name).parent) for s in sources]
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]
@@ -265,18 +248,14 @@ def plan_jobs(
     stems = [one.take + _SESSION * (len(one.sources) > 1) for one in named]
     names = clip_names(stems, suffix, several=several)
     hashed = cache(partial(fingerprint, suffix=suffix))
-    jobs = [
-        Job(*one, out, name, hashed(one.settings), take_timeout)
-        for one, name in zip(named, names, strict=True)
-    ]
+    pairs = zip(named, names, strict=True)
+    jobs = [Job(*s, out, n, hashed(s.settings), take_timeout) for s, n in pairs]
     _check_one_person_each(jobs)
     places, root = {source.place for source in sources}, canonical(out.root)
     for job in jobs:
         if f"{root}/{job.output}" in places:
-            raise InputError(
-                f"{out.path(job.output)}: would overwrite a take; choose another "
-                "output folder"
-            )
+            hint = "choose another output folder"
+            raise InputError(f"{out.path(job.output)}: would overwrite a take; {hint}")
     return sorted(jobs, key=lambda job: (-job.size, job.take))
 
 
@@ -305,14 +284,12 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
         from kinefilter.scenes import load_scene  # loads MuJoCo, which is slow
 
         load_scene(settings.config.scene)
-    where = Path(tempfile.gettempdir()) / f"clip{suffix}"
-    check_writable(where, settings.export)
+    check_writable(Path(tempfile.gettempdir()) / f"clip{suffix}", settings.export)
     layer = settings.export.character
     if layer is not None and not (layer.is_file() and out.is_local):
-        raise InputError(
-            f"--character {layer}: clips of a batch can only refer to a layer that "
-            "exists on this machine; write it with 'kinefilter clean --character' first"
-        )
+        wrong = "clips of a batch can only refer to a layer that exists on this machine"
+        hint = "write it with 'kinefilter clean --character' first"
+        raise InputError(f"--character {layer}: {wrong}; {hint}")
     if settings.calibration is not None:
         from kinefilter.pipeline.merge import read_calibration
 

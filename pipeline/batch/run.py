@@ -21,30 +21,20 @@ _DIED = (
 
 
 @dataclass
-class JobProgress:
-    """Progress of a batch."""
-
-    takes: int  # takes to clean
-    size: int  # their approximate size [bytes]
-    takes_done: int = 0  # takes cleaned or failed
-    size_done: int = 0  # their approximate size [bytes]
-    failed: int = 0  # takes failed
-    idle: bool = False  # True while there are no workers
-
-
-@dataclass
 class Outcome:
-    """Result of a batch."""
+    """Result of a batch, so far while it runs."""
 
     kept: list[Row] = field(default_factory=list)  # up to date from earlier runs
     rows: list[Row] = field(default_factory=list)  # from this run
     seconds: float = 0.0  # spent cleaning
     earlier: int = 0  # takes in the manifest that were not given this time
+    takes: int = 0  # takes to clean
+    size: int = 0  # their approximate size [bytes]
+    size_done: int = 0  # that of those cleaned or failed [bytes]
+    idle: bool = False  # True while there are no workers
 
-    @property
-    def failed(self) -> list[Row]:
-        """Rows of takes that failed."""
-        return [row for row in self.rows if row.status == "failed"]
+    def __post_init__(self) -> None:
+        self.failed = [row for row in self.rows if row.status == "failed"]
 
     @property
     def damaged(self) -> list[Row]:
@@ -53,7 +43,7 @@ class Outcome:
         return [row for row in rows if any(c.failures or c.damage for c in row.clips)]
 
 
-OnProgress = Callable[[JobProgress], None]
+OnProgress = Callable[[Outcome], None]
 
 
 def clean_files(
@@ -75,13 +65,9 @@ def clean_files(
     After a KeyboardInterrupt, both are up to date.
 
     ``inputs`` are takes and folders to search for takes; these and ``out`` may be URLs.
-    ``suffix`` is the extension of the clips. ``kinefilter.toml`` in the takes' folders
-    overrides ``settings``, except for those named in ``given``. With ``sessions`` among
-    the settings, takes of several sensors become one clip (see ``find_sessions``).
-    Cleaning runs in ``jobs`` processes, by default one per core, or on the workers of a
-    Dask ``scheduler``. A take fails after ``take_timeout`` seconds, by default one hour
-    plus one minute per megabyte. ``on_progress`` is called at the start, after every
-    take, and while there are no workers.
+    ``suffix`` is the extension of the clips; ``plan_jobs`` describes ``settings`` and
+    ``given``, and the command ``Batch`` the rest. ``on_progress`` is called at the
+    start, after every take, and while there are no workers.
 
     Raises InputError if the request is impossible or the manifest cannot be written. A
     faulty take raises nothing; its row in the outcome has the error.
@@ -129,18 +115,17 @@ def _clean(
     outcome: Outcome,
     on_progress: OnProgress,
 ) -> None:
-    progress = JobProgress(len(jobs), sum(job.size for job in jobs))
+    outcome.takes, outcome.size = len(jobs), sum(job.size for job in jobs)
     start = perf_counter()
 
     def record(done: Sequence[tuple[Job, Row]]) -> None:
         rows = manifest.append([row for _, row in done])
         outcome.rows += rows
+        outcome.failed += [row for row in rows if row.status == "failed"]
         outcome.seconds = perf_counter() - start
-        progress.takes_done += len(done)
-        progress.size_done += sum(job.size for job, _ in done)
-        progress.failed += sum(row.status == "failed" for row in rows)
-        progress.idle = not rows and crew.is_idle()
-        on_progress(progress)
+        outcome.size_done += sum(job.size for job, _ in done)
+        outcome.idle = not rows and crew.is_idle()
+        on_progress(outcome)
 
     died = list(jobs)
     # A job whose process died is retried, with no other job running.

@@ -2,9 +2,7 @@
 
 With the pattern ``{name}_{sensor}.csv*``, takes whose names differ only in ``{sensor}``
 form a session; ``*`` and ``?`` match as in a shell. A pattern matches the end of a
-path: ``{name}/{sensor}.csv`` stands for one folder per session, ``{sensor}/{name}.csv``
-for one per sensor. ``{sensor}`` matches as little as possible, or one of the given
-names.
+path, and ``{sensor}`` as little as possible, or one of the given names.
 """
 
 import re
@@ -56,17 +54,15 @@ class Session(NamedTuple):
     settings: Settings
 
 
-def find_sessions(
-    sources: Sequence[Source], chosen: Sequence[Settings]
-) -> list[Session]:
-    """Group files into sessions by the pattern in the settings chosen for each.
+def find_sessions(sources: Sequence[Source], each: Sequence[Settings]) -> list[Session]:
+    """Group files into sessions by the pattern in the settings of ``each``.
 
     A take without a partner, or whose name does not match, is a session of its own.
     Raises InputError if a pattern matches no file, or sensors are given without one.
     """
     alone, unmatched = list[Session](), dict[str, str]()
     groups: dict[tuple[str, str, str], list[Session]] = {}
-    for source, settings in zip(sources, chosen, strict=True):
+    for source, settings in zip(sources, each, strict=True):
         pattern, place = settings.sessions or "", source.store.path(source.file.name)
         match = _expression(pattern, settings.sensors).fullmatch(Path(place).as_posix())
         if match is None or not pattern:
@@ -85,13 +81,11 @@ def find_sessions(
                 "a pattern such as {name}_{sensor}.csv* for walk_left.csv, and spell "
                 "--sensors as in the file names"
             )
-    for settings in chosen:
+    for settings in each:
         if settings.sensors and not used:
             names = " ".join(settings.sensors)
             raise InputError(f"--sensors {names}: requires --sessions")
-    return alone + [
-        _joined(name, pattern, takes) for (_, name, pattern), takes in groups.items()
-    ]
+    return alone + [_joined(*key[1:], takes) for key, takes in groups.items()]
 
 
 def _joined(name: str, pattern: str, takes: Sequence[Session]) -> Session:
@@ -99,9 +93,7 @@ def _joined(name: str, pattern: str, takes: Sequence[Session]) -> Session:
     if len(takes) == 1:
         return takes[0]
     order = {sensor: k for k, sensor in enumerate(takes[0].settings.sensors)}
-    takes = sorted(
-        takes, key=lambda one: (order.get(one.sensors[0], 0), one.sensors, one.take)
-    )
+    takes = sorted(takes, key=lambda t: (order.get(t.sensors[0], 0), t.sensors, t.take))
     folders = PurePosixPath(takes[0].take).parents
     folder = folders[min(pattern.count("/"), len(folders) - 1)]
     return takes[0]._replace(

@@ -1,8 +1,4 @@
-"""Folders that takes are read from and clips written to: local, or at fsspec URLs.
-
-fsspec (``s3://``, ``gs://``, ``file://`` and others) comes with the extra ``cluster``
-and is imported only when needed.
-"""
+"""Folders that takes are read from and clips written to: local, or at fsspec URLs."""
 
 import os
 import re
@@ -184,9 +180,8 @@ def canonical(place: str) -> str:
 
 
 def _raise_unreadable(error: OSError) -> None:
-    raise InputError(
-        f"{error.filename}: cannot be searched ({error.strerror}); check permissions"
-    ) from error
+    wrong = f"cannot be searched ({error.strerror})"
+    raise InputError(f"{error.filename}: {wrong}; check permissions") from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -212,10 +207,9 @@ def _as_input_error(url: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:  # every protocol has its own exceptions
-        raise InputError(
-            f"{url}: access failed ({type(error).__name__}: {error}); check the "
-            "address and your permissions"
-        ) from error
+        wrong = f"access failed ({type(error).__name__}: {error})"
+        hint = "check the address and your permissions"
+        raise InputError(f"{url}: {wrong}; {hint}") from error
 
 
 def _stored_file(name: str, info: Mapping[str, Any]) -> StoredFile:

@@ -1,8 +1,4 @@
-"""The work of one worker of a batch: from a take's file to its clips.
-
-Workers keep cleaners, with their databases and models, for later takes; correctors are
-reset for each take.
-"""
+"""The work of one worker of a batch: from a take's file to its clips."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -92,18 +88,14 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     errors = []
     cleaned = job.settings.clean(recordings, bodies, cleaner, _while_awaited)
     for body, result, merged in cleaned:
-        if isinstance(result, InputError):
-            errors.append(str(result))
-            continue
         path = numbered(PurePosixPath(job.output), body if len(bodies) > 1 else None)
         try:
+            if isinstance(result, InputError):
+                raise result
             fused = merged.all_notes() if merged else ()
             result = replace(result, notes=(*take_notes, *fused, *result.notes))
-            paths = part_paths(path, len(result.clips))
-            row["clips"] += tuple(
-                _write(result, clip, str(path), body, job)
-                for path, clip in zip(paths, result.clips, strict=True)
-            )
+            each = zip(part_paths(path, len(result.clips)), result.clips, strict=True)
+            row["clips"] += tuple(_write(result, c, str(p), body, job) for p, c in each)
             if merged:
                 figures = zip(names, merged.figures()["sensors"], strict=True)
                 row["sensors"] = tuple({"sensor": n} | values for n, values in figures)

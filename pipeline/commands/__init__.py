@@ -1,4 +1,1 @@
-"""Command-line commands: parsing and printing only.
-
-``cli`` imports a file only when one of its commands is used.
-"""
+"""Command-line commands: parsing and printing only."""

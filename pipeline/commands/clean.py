@@ -13,13 +13,8 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
-from kinefilter.pipeline.formats import (
-    Recording,
-    check_writable,
-    write_clip,
-    write_contacts,
-    write_people,
-)
+from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
+from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
 from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
@@ -38,7 +33,7 @@ from .terminal import (
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.batch.run import JobProgress, OnProgress
+    from kinefilter.pipeline.batch.run import OnProgress, Outcome
     from kinefilter.pipeline.cleaner import CleanResult
     from kinefilter.pipeline.merge import Merged
 
@@ -141,25 +136,21 @@ class Clean:
 
     def _check(self, used: list[Path | None]) -> None:
         """Raise an InputError if an output cannot be written or is also an input."""
-        if self.one_file:
-            self._check_one_file()
-        check_writable(self.out, self.settings.export)
-        check_output(self.report, suffix=".html")
-        written = (self.out, self.json, self.save_contacts, self.report)
-        check_outputs(written, *used)
-
-    def _check_one_file(self) -> None:
-        """Raise an InputError for options that do not combine with --one-file."""
         settings, export = self.settings, self.settings.export
         alone = {
             "--begin, --end and --loop": export.begin or export.end or export.loop,
             "--gaps split": settings.config.gaps == "split",
         }
         for what, given in alone.items():
-            if given:
+            if self.one_file and given:
                 raise InputError(f"{what} cannot be combined with --one-file")
-        if settings.body != "all" or self.out.suffix.lower() != ".glb":
+        one_glb = settings.body == "all" and self.out.suffix.lower() == ".glb"
+        if self.one_file and not one_glb:
             raise InputError("--one-file requires --body all and a .glb clip")
+        check_writable(self.out, export)
+        check_output(self.report, suffix=".html")
+        written = (self.out, self.json, self.save_contacts, self.report)
+        check_outputs(written, *used)
 
     def _cleaned(
         self, recordings: list[Recording]
@@ -168,9 +159,8 @@ class Clean:
         settings, numbers = self.settings, self.settings.people(recordings)
         for name in ("contacts", "edits"):
             if getattr(settings.config, name) is not None and len(numbers) > 1:
-                raise InputError(
-                    f"--{name} applies to one person; choose one with --body"
-                )
+                hint = "choose one with --body"
+                raise InputError(f"--{name} applies to one person; {hint}")
         results = {}
         with progress_bars() as progress:
             cleaned = settings.clean(recordings, numbers, progress=progress)
@@ -278,9 +268,8 @@ class Batch:
         if self.jobs is not None and self.jobs < 1:
             raise InputError(f"--jobs {self.jobs}: must be at least 1")
         if self.take_timeout is not None and not self.take_timeout > 0:
-            raise InputError(
-                f"--take-timeout {self.take_timeout:g}: must be greater than 0"
-            )
+            wrong = "must be greater than 0"
+            raise InputError(f"--take-timeout {self.take_timeout:g}: {wrong}")
         if self.jobs is not None and self.scheduler is not None:
             raise InputError("--jobs cannot be combined with --scheduler")
         own = replace(self.settings, sessions=self.sessions, sensors=self.sensors)
@@ -318,20 +307,18 @@ def _bar(scheduler: str | None) -> Iterator[OnProgress]:
         log = logger()
         task = bars.add_task("clean", visible=False)
 
-        def show(progress: JobProgress) -> None:
+        def show(outcome: Outcome) -> None:
             nonlocal warned
-            if progress.idle and not warned:
+            if outcome.idle and not warned:
                 err.print(
                     f"no workers; start one with: dask worker {scheduler} --nthreads 1"
                 )
                 warned = True
-            words = f"clean {progress.takes_done}/{progress.takes}"
-            if progress.failed:
-                words += f", {progress.failed} failed"
+            words = f"clean {len(outcome.rows)}/{outcome.takes}"
+            if outcome.failed:
+                words += f", {len(outcome.failed)} failed"
             log(words)
-            done, total = progress.size_done, progress.size
-            bars.update(
-                task, description=words, completed=done, total=total, visible=True
-            )
+            bars.update(task, completed=outcome.size_done, total=outcome.size)
+            bars.update(task, description=words, visible=True)
 
         yield show

@@ -61,12 +61,10 @@ class Merge:
         written = (self.out, self.save_calibration, self.json)
         check_output(self.out, suffix=".csv")
         check_outputs(written, *self.takes, self.calibration)
-        calibration = read_calibration(self.calibration)
+        known = read_calibration(self.calibration)
         recordings = [read_recording(path, format=self.format) for path in self.takes]
-        with progress_bars() as progress:
-            merged = merge(
-                recordings, body=self.body, calibration=calibration, progress=progress
-            )
+        with progress_bars() as bars:
+            merged = merge(recordings, body=self.body, calibration=known, progress=bars)
         write_merged_csv(merged.take, merged.reliability, merged.shares, self.out)
         if self.save_calibration is not None:
             write_calibration(merged, self.save_calibration)
@@ -82,9 +80,8 @@ def _as_table(merged: Merged) -> Table:
     sensor = Column("sensor", overflow="fold")  # names may differ only at the end
     table = Table(sensor, title=f"{len(merged.take)} frames merged")
     headings = ("lag, s", "drift, ms/min", "angle, deg", "distance, m")
-    for heading in (*headings, "share, %", "residual, cm"):
-        lines = heading.replace(" ", "\n")  # leaves room for names
-        table.add_column(lines, justify="right", no_wrap=True)
+    for heading in (*headings, "share, %", "residual, cm"):  # two lines leave room
+        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
     for row in merged.figures()["sensors"]:
         residual = row["apart_meters"]
         table.add_row(

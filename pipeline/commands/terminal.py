@@ -6,7 +6,7 @@ import json
 import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from os.path import realpath
 from pathlib import Path
 from time import monotonic
@@ -122,10 +122,9 @@ def write_json(figures: object, path: Path | None) -> None:
 @contextmanager
 def ended_gently() -> Iterator[None]:
     """Treat SIGTERM, as batch systems send it, like Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may install signal handlers
-        return
-    with _handling(_REQUESTS, signal.default_int_handler):
+    # Only the main thread may install signal handlers.
+    main = threading.current_thread() is threading.main_thread()
+    with _handling(_REQUESTS if main else (), signal.default_int_handler):
         yield
 
 
@@ -135,21 +134,15 @@ def stopped_by_signals(stop: asyncio.Event) -> Iterator[None]:
     import asyncio  # slow to import, and few commands need it
 
     loop = asyncio.get_running_loop()
-
-    def request_stop(*_: object) -> None:
-        loop.call_soon_threadsafe(stop.set)
-
-    with _handling(_ENDS, request_stop):
+    with _handling(_ENDS, lambda *_: loop.call_soon_threadsafe(stop.set)):
         yield
 
 
 @contextmanager
 def _handling(names: Collection[str], handler: Callable[..., Any]) -> Iterator[None]:
     """Install a handler for those signals that exist on this system."""
-    numbers = [number for number in signal.Signals if number.name in names]
-    before = {number: signal.signal(number, handler) for number in numbers}
-    try:
+    with ExitStack() as before:
+        for number in signal.Signals:
+            if number.name in names:
+                before.callback(signal.signal, number, signal.signal(number, handler))
         yield
-    finally:
-        for number, earlier in before.items():
-            signal.signal(number, earlier)

@@ -1,8 +1,4 @@
-"""Merges the takes of one person by several sensors into a single take.
-
-Clocks and frames are found from the motion itself (``alignment``); then each joint is
-fused from what every sensor saw of it (``fusion``).
-"""
+"""Merges the takes of one person by several sensors into a single take."""
 
 from .alignment import Alignment, align
 from .calibration import read_calibration, write_calibration

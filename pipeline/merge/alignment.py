@@ -19,14 +19,7 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability import column_medians
 
-from .lag import (
-    FEWEST_WINDOWS,
-    Clock,
-    Track,
-    correlations,
-    interpolate_gaps,
-    with_drift,
-)
+from .lag import MIN_WINDOWS, Clock, Track, correlations, interpolate_gaps, with_drift
 from .rigid import SIGMA, Placement, placement
 
 _RATE = 20.0  # samples a second to search lags in: joints move below 5 Hz
@@ -84,10 +77,8 @@ class Alignment(NamedTuple):
         return self.path >= _MIN_PATH
 
 
-IDENTITY = Alignment(
-    Clock(0.0, 0.0), Placement(Rotation.identity(), np.zeros(3)), 0.0, np.inf, np.inf
-)
-"""The alignment of the first sensor to itself."""
+_HERE = Placement(Rotation.identity(), np.zeros(3))
+IDENTITY = Alignment(Clock(0.0, 0.0), _HERE, 0.0, np.inf, np.inf)  # of the first sensor
 
 
 def align(first: Take, second: Take) -> Alignment:
@@ -260,7 +251,7 @@ class _Pair:
             near = times[np.abs(times - np.median(times)) <= 0.5 * span]
             length = np.ptp(near) + _WINDOW
             count = min(int(length / _WINDOW), _MAX_WINDOWS)
-            if count < FEWEST_WINDOWS:
+            if count < MIN_WINDOWS:
                 break
             rows = []
             for begin in np.quantile(near, np.linspace(0.0, 1.0, count)):

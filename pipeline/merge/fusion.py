@@ -8,17 +8,17 @@ sight are no larger than across it, both on UI-PRMD's people and in the virtual 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
 from kinefilter.characters.arrays import Array, Codes, Flags
+from kinefilter.characters.rotations import wrapped
 from kinefilter.characters.skeleton import SIDES
-from kinefilter.pipeline.failures.sides import Sides
+from kinefilter.pipeline.failures.sides import CheapestPath, Sides
 from kinefilter.retarget import HeadingFrame, find_yaw
-
-from .facing import Facing
 
 # Chosen on simulated people (seeds 40 to 55 and 140 to 153) and on p00 to p08 of
 # two-kinects; results hardly depend on any but the first two.
@@ -30,6 +30,11 @@ _BLEND = 0.08  # s, time constant of the weights
 _LEARNING = 30.0  # s over which misplacements are averaged
 _MAX_OFFSET = 0.15  # m of a misplacement
 _COUNTS = 0.2  # share above which a sensor's state counts for the joint
+# Chosen on seeds 40 to 51 and 140 to 145, and on the same sessions:
+_TOLERANCE = np.radians(45.0)  # rad by which a heading may be off
+_MAX_COST = 4.0  # in squared tolerances, of one sensor
+_TURNING = np.radians(100.0)  # rad/s at which turning costs as much as the tolerance
+_GRID = 2.0 * np.pi * np.arange(72) / 72  # headings to choose from [rad]
 
 
 class Sight(NamedTuple):
@@ -49,6 +54,34 @@ class Fused(NamedTuple):
     reliability: Array  # mean over the sensors that count, in [0, 1], (J,)
     shares: Array  # of each sensor in each joint, adding up to 1 or 0, (S, J)
     swapped: Flags  # which sensors had left and right swapped, (S,)
+
+
+class Facing(CheapestPath):
+    """Follows the heading [rad], 0 along +z, of a person whom several sensors see.
+
+    A sensor sees people who face it, or face away, as they are, but shows people at its
+    side turned toward itself. So each is weighted by the squared cosine of the angle
+    from which it would look at them; where sensors contradict each other, people turn
+    no faster than they have to: the heading is the cheapest path over all frames
+    (Viterbi 1967), or, live, the cheapest path so far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(_GRID)
+
+    def step(
+        self, yaws: Array, angles: Array, elapsed: float
+    ) -> tuple[Any, NDArray[np.uint16]]:
+        """Return the heading, given the frames so far; see ``CheapestPath.step``.
+
+        ``yaws`` are the headings in each sensor [rad], without swapped sides, NaN where
+        it sees no one, and ``angles`` the directions to each sensor [rad], both (S,).
+        """
+        turning = wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
+        errors = wrapped(yaws[:, None] - _GRID) / _TOLERANCE
+        views = np.cos(angles[:, None] - _GRID) ** 2
+        costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=0)
+        return self._next(turning**2, costs)
 
 
 class Fusion:
@@ -86,11 +119,8 @@ class Fusion:
         sides = self._sides.whole((seen.positions, _weights(seen)) for seen in stacked)
         for seen, swapped in zip(stacked, sides, strict=True):
             self._swap(seen, swapped)
-        headings = self._facing.whole(
-            (*self._directions(seen), float(since))
-            for seen, since in zip(stacked, elapsed, strict=True)
-        )
-        return sides, headings
+        each = zip(map(self._directions, stacked), elapsed.tolist(), strict=True)
+        return sides, self._facing.whole((*both, since) for both, since in each)
 
     def _stack(self, sights: Sequence[Sight | None]) -> Sight:
         """Return what all sensors see, arrays with a leading axis S."""

@@ -9,7 +9,7 @@ from scipy.stats import theilslopes
 
 from kinefilter.characters.arrays import Array, Indices, chunks
 
-FEWEST_WINDOWS = 5  # that it takes to determine a drift
+MIN_WINDOWS = 5  # that it takes to determine a drift
 _LONGEST_GAP = 0.15  # s between samples to interpolate over
 _CONFIDENCE = 0.99  # that there is a drift at all
 _CELLS = 2_000_000  # products at all lags in memory at a time
@@ -107,7 +107,7 @@ def with_drift(clock: Clock, rows: Array) -> Clock | None:
     Fits Theil and Sen's line to rows (N, 2): seconds since the clock's start, and the
     lag [s] that would be right then.
     """
-    if len(rows) < FEWEST_WINDOWS:
+    if len(rows) < MIN_WINDOWS:
         return None
     slope, lag, low, high = theilslopes(rows[:, 1], rows[:, 0], _CONFIDENCE)
     if low <= 0.0 <= high:

@@ -154,7 +154,7 @@ def _identify(
     own_takes, scores, notes = [], [], []
     own_alignments: list[Alignment] = []
     for s, recording in enumerate(recordings):
-        own = [part for part in person if tracks[part.track].sensor == s]
+        own = [part for part in person if part.sensor == s]
         if sum(len(part.rows) for part in own) < 2:
             source = recording.takes[0].source.partition(", body ")[0]
             notes.append(f"{source}: does not show this person, and is left out")
@@ -165,10 +165,8 @@ def _identify(
         own_alignments += alignments[s - 1 : s]  # none for the first sensor
         sources = dict.fromkeys(takes[part.track].source for part in own)
         if len(sources) > 1:
-            notes.append(
-                f"parts of {' and '.join(sources)} are the same person, by place, time "
-                "and body lengths"
-            )
+            told = "are the same person, by place, time and body lengths"
+            notes.append(f"parts of {' and '.join(sources)} {told}")
     return Person(own_takes, scores, own_alignments, tuple(notes))
 
 

@@ -10,7 +10,7 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.progress import Progress, silent
+from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import IDENTITY, Alignment, check_sensors
@@ -29,8 +29,7 @@ class Merged:
     reliability: Array  # mean over the sensors that count, shape (T, J)
     shares: Array  # of each sensor in each joint, adding up to 1 or 0, (T, S, J)
     swapped: Flags  # which sensors had left and right swapped, shape (T, S)
-    seen: tuple[Array, ...]
-    """Each sensor's joints at the frames of the take, in its frame [m], (T, J, 3)."""
+    seen: tuple[Array, ...]  # each sensor's joints [m] in the take's frame, (T, J, 3)
     alignments: tuple[Alignment, ...]  # of the second sensor, the third and so on
     takes: tuple[Take, ...]  # one per sensor, with gross failures repaired
     notes: tuple[str, ...] = ()  # what users should know about who is who
@@ -64,11 +63,8 @@ class Merged:
                     "apart_meters": float(apart[k]),
                 }
             )
-        return {
-            "frames": len(self.take),
-            "sensors": rows,
-            "notes": list(self.all_notes()),
-        }
+        notes = list(self.all_notes())
+        return {"frames": len(self.take), "sensors": rows, "notes": notes}
 
     def all_notes(self) -> Iterator[str]:
         """Yield what is uncertain, and what to do about it."""
@@ -78,10 +74,8 @@ class Merged:
             if not found.clock_is_sure:
                 yield f"{source}: people hardly move, so its lag is unsure; {hint}"
             elif not found.place_is_sure:
-                yield (
-                    f"{source}: people hardly walk, so the sensor's direction may be "
-                    f"off by 30 degrees; {hint}"
-                )
+                doubt = "so the sensor's direction may be off by 30 degrees"
+                yield f"{source}: people hardly walk, {doubt}; {hint}"
 
 
 def merge(
@@ -107,8 +101,8 @@ def merge(
         InputError: Fewer than two takes, or takes that do not belong together.
     """
     recordings = [
-        take if isinstance(take, Recording) else Recording((take,), "take")
-        for take in takes
+        one if isinstance(one, Recording) else Recording((one,), "take")
+        for one in takes
     ]
     if len(recordings) < 2:
         raise InputError("only one take is given; merge needs one per sensor")
@@ -132,27 +126,20 @@ def fuse(
     fusion = Fusion(skeleton, len(takes))
     frames = list(zip(*columns, strict=True))
     elapsed = np.diff(time, prepend=2.0 * time[0] - time[1])
-    sides, headings = fusion.precompute(frames, elapsed)
+    found = fusion.precompute(frames, elapsed)
+    steps = list(zip(frames, elapsed.tolist(), *found, strict=True))
     fused: list[Fused] = []
     for sweep in ("learn", "merge"):  # the first learns where sensors misplace joints
         fusion.start()
-        fused = [
-            fusion.step(frames[k], float(elapsed[k]), sides[k], headings[k])
-            for k in progress(sweep, len(time))
-        ]
+        fused = [fusion.step(*step) for step in over(steps, sweep, progress)]
     arrays = map(np.array, zip(*fused, strict=True))
     positions, state, reliability, shares, swapped = arrays
     source = " + ".join(take.source for take in takes)
     by_kinect = any(take.by_kinect for take in takes)
-    return Merged(
-        Take(time, positions, state, skeleton, source, by_kinect),
-        reliability,
-        shares,
-        swapped,
-        tuple(np.array([sight.positions for sight in column]) for column in columns),
-        tuple(alignments),
-        tuple(takes),
-    )
+    take = Take(time, positions, state, skeleton, source, by_kinect)
+    seen = (np.array([sight.positions for sight in column]) for column in columns)
+    known = (tuple(alignments), tuple(takes))
+    return Merged(take, reliability, shares, swapped, tuple(seen), *known)
 
 
 def _frame_times(stamps: Sequence[Array]) -> Array:
@@ -172,10 +159,8 @@ def _sights(
     """Return what a sensor sees at some times of the first one's clock."""
     stamps = found.clock.at(time)
     positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
-    rows, joints = (
-        nearest_frames(take.time, stamps),
-        _joint_map(take.skeleton, skeleton),
-    )
+    rows = nearest_frames(take.time, stamps)
+    joints = _joint_map(take.skeleton, skeleton)
     positions = np.where(joints[:, None] < 0, np.nan, positions[:, joints])
     missing = np.isnan(positions[..., 0])
     reliability, state = (
