@@ -47,7 +47,7 @@ _LARGEST_RADIUS, _LARGEST_HAND_RADIUS = 0.065, 0.018  # of stature. Guesses.
 # (Norkin & White 2016, Measurement of Joint Motion, appendix B) relative to the T-pose,
 # plus a margin for where Kinect's joints lie in the body: in marker mocap converted to
 # Kinect joints, 1 % of the frames exceed them. Wrists have what people use of theirs
-# (``retarget.palms``), or contact with the body would bend them to their limits.
+# (``retarget.Palms``), or contact with the body would bend them to their limits.
 _Row = tuple[float, float, tuple[float, float, float], float]
 _LIMBS: dict[str, _Row] = {
     "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0), 50.0),
