@@ -84,7 +84,7 @@ class _StraightChains:
 
 
 def _softened(angle: Array, free: float, most: float) -> Array:
-    """Return angles [rad] whose size stays up to ``free`` and never reaches ``most``."""
+    """Return angles [rad] whose size stays to ``free`` and never reaches ``most``."""
     room, size = most - free, np.abs(angle)
     less = free + room * np.tanh((size - free) / room)
     return np.where(size > free, np.sign(angle) * less, angle)
