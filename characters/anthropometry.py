@@ -141,12 +141,9 @@ def unit_hint(size: float) -> str:
 class Body:
     """Size and mass of a person's segments; arrays are read-only."""
 
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    height: float
-    """Stature [m]."""
-    mass: float
-    """Body mass [kg]."""
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    height: float  # stature [m]
+    mass: float  # body mass [kg]
     lengths: Array
     """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
     directions: Array

@@ -21,12 +21,9 @@ class Skeleton:
     long as arrays over joints; the root's row has no bone.
     """
 
-    name: str
-    """Short name used in files, such as ``kinect_v1``."""
-    joints: tuple[str, ...]
-    """Joint names in the sensor's own order."""
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
+    name: str  # short name used in files, such as ``kinect_v1``
+    joints: tuple[str, ...]  # joint names in the sensor's own order
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for the root
 
     def __post_init__(self) -> None:
         joints, parents = self.joints, self.parents

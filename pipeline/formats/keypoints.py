@@ -23,7 +23,7 @@ from kinefilter.characters.motion import check_order
 
 from .files import array_of, list_in, number_in, read_bytes, read_json, refused
 from .markers import mocap_of_points
-from .mocap import kinect_joints, plain_name, read_points
+from .mocap import kinect_joints, plain_name, recording_of
 from .npz import read_array
 from .recording import (
     ASSUMED_FPS,
@@ -90,7 +90,7 @@ def read_npy(source: str) -> Recording:
         values = array[:, : len(names)].astype(np.float64)
     visibility = values[..., 3] if values.shape[2] == 4 else None
     mocap = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, visibility)
-    return replace(read_points(mocap), timed=False)
+    return replace(recording_of(mocap), timed=False)
 
 
 def _is_pose(shape: tuple[int, ...]) -> bool:
@@ -136,9 +136,9 @@ def read_freemocap(source: str) -> Recording:
     mocap = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
     time = values[:, 0]
     if np.isnan(time).any():
-        return replace(read_points(mocap), timed=False)
+        return replace(recording_of(mocap), timed=False)
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
-    return read_points(mocap, time - time[0])
+    return recording_of(mocap, time - time[0])
 
 
 def _cells(line: str, source: str) -> list[str]:

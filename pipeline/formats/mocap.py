@@ -42,7 +42,7 @@ from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
 from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
 
-_POINT_RIGS = ("plug_in_gait", "keypoints")
+_POINT_RIGS: Sequence[str] = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
 """Rigs that mocap comes with, besides the Kinects' own skeletons."""
 _BVH_RIGS = ("cmu", "motionbuilder", "rokoko", "ipi", "jointed")
@@ -81,7 +81,7 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
-        return _bvh_mocap(os.fspath(path))
+        return bvh_mocap(os.fspath(path))
     if first.startswith(TRC_MAGIC):
         return read_trc(path)
     if first[:1] not in ("#", ":"):
@@ -98,41 +98,21 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     return read_amc(path, read_asf(max(fitting or given, key=lambda a: len(a.stem))))
 
 
-def _bvh_mocap(source: str) -> Mocap:
+def bvh_mocap(source: str) -> Mocap:
+    """Read a BVH file; raises InputError if it is malformed."""
     bvh = read_bvh(source)
     return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
 
 
-def read_bvh_take(source: str) -> Recording:
-    """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
-    return _recording(_bvh_mocap(source), (KINECT_V2, KINECT_V1), _BVH_RIGS)
+def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
+    """Make a take of BVH or of named points, at its frame rate or at times [s] given.
 
-
-def read_trc_take(source: str) -> Recording:
-    """Read the joints in a TRC file as a take; raises InputError as read_points."""
-    return read_points(read_trc(source))
-
-
-def read_c3d_take(source: str) -> Recording:
-    """Read the joints in a C3D file as a take; raises InputError as read_points."""
-    return read_points(read_c3d(source))
-
-
-def read_points(mocap: Mocap, time: Array | None = None) -> Recording:
-    """Make a take of named points, at the frame rate or at the times [s] given.
-
-    Raises InputError if they are of no known rig or not of a person.
+    It is on the skeleton that comes first if all its joints are there by name. Raises
+    InputError if the joints are of no known rig or not of a person.
     """
-    return _recording(mocap, (KINECT_V1, KINECT_V2), _POINT_RIGS, time)
-
-
-def _recording(
-    mocap: Mocap,
-    skeletons: tuple[Skeleton, Skeleton],
-    rigs: Sequence[str],
-    time: Array | None = None,
-) -> Recording:
-    """Make a recording on the first skeleton if all its joints are there by name."""
+    skeletons, rigs = (KINECT_V1, KINECT_V2), _POINT_RIGS
+    if mocap.rotations is not None:
+        skeletons, rigs = (KINECT_V2, KINECT_V1), _BVH_RIGS
     check_length(len(mocap.positions), mocap.source)
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
