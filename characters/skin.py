@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,6 @@ from .arrays import Array, Flags, Indices, freeze
 from .flesh import Flesh, along_bone, flesh_of, girth_of
 from .rotations import unit
 from .skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from scipy import sparse
-
 
 INFLUENCES = 4
 """Largest number of segments that move one point: what every engine supports."""
@@ -147,7 +143,13 @@ def _weights(
     rows, nearest = np.arange(len(points)), np.argmin(distances, axis=1)
     beyond = distances - distances[rows, nearest][:, None]
     share = np.maximum(1.0 - beyond / (_SHARING * radii[rows, nearest][:, None]), 0.0)
-    share = np.where(_related(skeleton)[nearest], share * share, 0.0)
+    # Only segments that meet the nearest one, or a third that does, count.
+    parents = np.array(skeleton.parents)
+    meets = (parents[:, None] == parents) | (
+        parents[:, None] == np.arange(len(parents))
+    )
+    meets |= meets.T
+    share = np.where((meets @ meets)[nearest], share * share, 0.0)
     share /= share.sum(axis=1, keepdims=True)
     mean = _averaging(quads, len(points))
     for _ in range(_AVERAGINGS):
@@ -157,8 +159,8 @@ def _weights(
     return order, chosen / chosen.sum(axis=1, keepdims=True)
 
 
-def _averaging(quads: Indices, count: int) -> sparse.csr_array:
-    """Return the matrix that averages each point with its neighbors."""
+def _averaging(quads: Indices, count: int) -> Any:
+    """Return the sparse matrix that averages each point with its neighbors."""
     from scipy import sparse  # not needed by commands that draw no skin
 
     a, b = np.concatenate([quads[:, [k, k - 1]] for k in range(4)]).T
@@ -167,15 +169,6 @@ def _averaging(quads: Indices, count: int) -> sparse.csr_array:
     ones = sparse.csr_array((np.ones(len(rows)), (rows, columns)), (count, count))
     ones.data[:] = 1.0  # count an edge once, however many faces share it
     return sparse.csr_array(ones.multiply(1.0 / ones.sum(axis=1)[:, None]))
-
-
-def _related(skeleton: Skeleton) -> Flags:
-    """Return True for segments that meet each other or a common third, shape (J, J)."""
-    parents = np.array(skeleton.parents)
-    own = np.arange(len(skeleton))
-    meets = (parents[:, None] == parents) | (parents[:, None] == own)
-    meets |= meets.T
-    return np.asarray(meets @ meets)
 
 
 def _margins(body: Body, points: Array, segments: Indices, weights: Array) -> Array:
