@@ -217,9 +217,7 @@ def joint_masses(body: Body) -> Array:
     Half of every segment counts at each of its ends: the two-point model of a rod.
     """
     skeleton = body.skeleton
-    halves = 0.5 * body.masses[skeleton.segments]
-    masses = np.zeros(len(skeleton))
-    masses[skeleton.root] = body.masses[skeleton.root]
+    halves, masses = 0.5 * body.masses[skeleton.segments], body.masses.copy()
     masses[skeleton.segments] = halves
     np.add.at(masses, skeleton.segment_parents, halves)
     return masses

@@ -141,12 +141,6 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-
-    def read(attribute: Any) -> Array:
-        value = attribute.Get()
-        valid = isinstance(value, Vt.Matrix4dArray)
-        return np.array(value, dtype=float) if valid else np.empty((0, 4, 4))
-
     joints = skeleton.GetJointsAttr().Get()
     paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
     if not 0 < len(paths) <= _MOST_JOINTS:
@@ -156,14 +150,12 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     if not valid:
         raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
     parents = [int(parent) for parent in topology.GetParentIndices()]
-    matrices = read(skeleton.GetRestTransformsAttr())
-    if len(matrices) != len(paths):
-        matrices = read(skeleton.GetBindTransformsAttr())
+    found = skeleton.GetRestTransformsAttr().Get()
+    if isinstance(found, Vt.Matrix4dArray) and len(found) == len(paths):
+        found = UsdSkel.ConcatJointTransforms(topology, found)
     else:
-        with np.errstate(all="ignore"):  # values that are not finite are refused below
-            for n, parent in enumerate(parents):
-                if parent >= 0:
-                    matrices[n] = matrices[n] @ matrices[parent]
+        found = skeleton.GetBindTransformsAttr().Get()
+    matrices = np.array(found if isinstance(found, Vt.Matrix4dArray) else ())
     if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
         raise InputError(
             f"{source}: has no rest transform for each of its {len(paths)} joints; "
