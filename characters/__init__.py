@@ -1,6 +1,6 @@
 """Skeletons, bodies, motions and the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body, unit_hint
+from .anthropometry import STANDARD_HEIGHT, Body, standard_body
 from .errors import InputError, KinefilterError
 from .motion import (
     CONTACTS,
@@ -22,7 +22,6 @@ __all__ = [
     "KINECT_V2",
     "SKELETONS",
     "STANDARD_HEIGHT",
-    "STATURES",
     "TRACKINGS",
     "Body",
     "Clip",
@@ -42,5 +41,4 @@ __all__ = [
     "positions_from_rotations",
     "skeleton_named",
     "standard_body",
-    "unit_hint",
 ]

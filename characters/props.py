@@ -8,15 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from .arrays import (
-    Array,
-    Indices,
-    Lengths,
-    check_arrays,
-    check_choice,
-    check_kind,
-    freeze,
-)
+from .arrays import Array, Indices, check_arrays, check_choice, check_kind, freeze
 from .errors import InputError
 from .rotations import rotate
 
@@ -42,7 +34,7 @@ class Shape:
     triangles: Indices  # indices of points, counterclockwise from outside, shape (F, 3)
 
     def __post_init__(self) -> None:
-        shapes: dict[str, Lengths] = {"rotation": (4,)}
+        shapes: dict[str, Any] = {"rotation": (4,)}
         shapes |= dict.fromkeys(("size", "position", "color"), (3,))
         shapes |= dict.fromkeys(("points", "triangles"), (None, 3))
         check_arrays(self, "a prop", shapes, finite=True)

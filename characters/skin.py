@@ -29,9 +29,7 @@ _LEAST = 0.02  # smaller weights become 0
 
 # Corners of a cell, its edges along x, y and z as pairs of corners, and its faces.
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_EDGES = np.array(
-    [(a, a + step) for a in range(8) for step in (1, 2, 4) if not a & step]
-)
+_EDGES = np.array([(a, a + b) for a in range(8) for b in (1, 2, 4) if not a & b])
 _CUBE = np.arange(8).reshape(2, 2, 2)
 _FACES = np.array([_CUBE.take(k, axis).ravel() for axis in (2, 1, 0) for k in (0, 1)])
 _JUST_INSIDE = 1e-6  # m

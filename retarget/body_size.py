@@ -11,15 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinefilter.characters import (
-    STANDARD_HEIGHT,
-    STATURES,
-    Body,
-    InputError,
-    Skeleton,
-    standard_body,
-    unit_hint,
-)
+from kinefilter.characters import Body, InputError, Skeleton, standard_body
+from kinefilter.characters.anthropometry import STANDARD_HEIGHT, STATURES, unit_hint
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, matrix_from_wxyz
 

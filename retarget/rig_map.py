@@ -73,7 +73,7 @@ _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset", "axes", "twist_of", "at", "follows"}
 _OF_TWISTS = {"parent", "twist_of", "at"}
 _OF_IK_BONES = {"parent", "follows"}
-BEYOND = {
+NEXT = {
     above: part
     for part, above in CHAINS.items()
     if above != "pelvis" and not part.endswith("toes")
@@ -101,7 +101,7 @@ Axes = tuple[tuple[str, str], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class MapBone:
+class Bone:
     """A bone of another skeleton, which starts at the joint of its name.
 
     The other fields are those of the file, None where a bone has none; ``part`` is its
@@ -124,11 +124,11 @@ class RigMap:
 
     name: str
     prefix: str  # prefix of all names, which some files omit
-    bones: tuple[MapBone, ...]
+    bones: tuple[Bone, ...]
     axes_in_bvh: bool = False
     """True if motion in BVH, which has no rest rotations, is in the bones' axes."""
 
-    def of(self, part: str) -> list[MapBone]:
+    def of(self, part: str) -> list[Bone]:
         """Return the bones that a part turns, parents before children."""
         return [bone for bone in self.bones if bone.part == part]
 
@@ -181,7 +181,7 @@ def _axes(words: Any, where: str) -> Axes | None:
     return (match[1], match[2]), (match[3], match[4])
 
 
-def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
+def _bone(name: str, row: Any, axes: Axes | None, source: str) -> Bone:
     where, wrong = f"{source}: bone {shown(name)}", ""
     if not isinstance(row, dict) or not _FIELDS.issuperset(row):
         raise InputError(f"{where}: expected fields {', '.join(sorted(_FIELDS))}")
@@ -213,14 +213,14 @@ def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
         x, y, z = map(float, offset)
         offset = (x, y, z)
     at = float(at or 0.0)
-    return MapBone(name, parent, part, offset, axes, twist_of, at, follows)
+    return Bone(name, parent, part, offset, axes, twist_of, at, follows)
 
 
-def _check(bones: tuple[MapBone, ...], source: str) -> None:
+def _check(bones: tuple[Bone, ...], source: str) -> None:
     part_of = dict[str | None, str | None]()
     for bone in bones:
         limb, wrong = part_of.get(bone.parent) or "", ""
-        known = (limb, BEYOND[limb]) if limb in BEYOND else ()
+        known = (limb, NEXT[limb]) if limb in NEXT else ()
         if bone.parent is not None and bone.parent not in part_of:
             wrong = f"its parent {shown(bone.parent)} is not listed before it; list "
             wrong += "every parent before its children"
@@ -229,7 +229,7 @@ def _check(bones: tuple[MapBone, ...], source: str) -> None:
             wrong += "list bones before those that follow"
         elif bone.twist_of is not None and bone.twist_of not in known:
             wrong = f"twist_of is {shown(bone.twist_of)}, expected the part that turns "
-            wrong += f"its parent, one of {', '.join(BEYOND)}, or the next one"
+            wrong += f"its parent, one of {', '.join(NEXT)}, or the next one"
         if wrong:
             raise InputError(f"{source}: bone {shown(bone.name)}: {wrong}")
         part_of[bone.name] = bone.part

@@ -102,7 +102,7 @@ class Neck(_StraightChains):
         super().__init__(body, [skeleton.girdle], [[joint] for joint in chain])
         self._body = body
 
-    def faces(self, face: Array, rotations: Array, heads: Array) -> Array:
+    def faces(self, face: Array, rotations: Array, head: Array) -> Array:
         """Return where a face looks around the head's axis, shape (..., 1, 2).
 
         The coordinates are to the left and ahead, as parts of ``face`` (..., 3), a unit
@@ -110,7 +110,7 @@ class Neck(_StraightChains):
         of ``posed``.
         """
         local = rotate(inverse(rotations[..., self.starts, :]), face[..., None, :])
-        return rotate(between(heads, self.along), local)[..., [0, 2]]
+        return rotate(between(head, self.along), local)[..., [0, 2]]
 
     def turn(self, faces: Array, weights: Array) -> Array:
         """Return how far heads turn to the left [rad], (..., 1), within 80 degrees.
@@ -121,15 +121,11 @@ class Neck(_StraightChains):
         return _softened(np.arctan2(left, ahead + _AHEAD), *_TURN)
 
     def posed(
-        self,
-        positions: Array,
-        rotations: Array,
-        heads: Array,
-        turn: Array | None = None,
+        self, positions: Array, rotations: Array, head: Array, turn: Array | None = None
     ) -> tuple[Array, Array]:
         """Return positions and rotations with neck and head bent, and turned.
 
-        ``heads`` (..., 1, 3) is the head's unit direction in the frame of the chest,
+        ``head`` (..., 1, 3) is the head's unit direction in the frame of the chest,
         ``turn`` (..., 1) the angle [rad] to the left between face and chest. Without
         it, neck and head keep their twist.
         """
@@ -137,7 +133,7 @@ class Neck(_StraightChains):
         chest, before = rotations[..., self.starts, :], self.starts
         for k, joints in enumerate(self.joints, start=1):
             share = 1.0 if k == len(self.joints) else _NECK_SHARE
-            local = unit(share * heads + (1.0 - share) * self.along)
+            local = unit(share * head + (1.0 - share) * self.along)
             rest, turns = self._body.rest_offsets[joints], rotations[..., joints, :]
             if turn is not None:
                 turns = multiply(chest, about_y(share * turn))

@@ -7,16 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V2,
-    Body,
-    Clip,
-    InputError,
-    Motion,
-    Take,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V2, Body, InputError, standard_body
 from kinefilter.characters.arrays import Array, check_kind
+from kinefilter.characters.motion import Clip, Motion, Take
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget import fill_missing_joints, rotations_from_positions

@@ -7,19 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import (
-    CONTACTS,
-    Clip,
-    InputError,
-    Origin,
-    Prop,
-    Skeleton,
-    Term,
-    standard_body,
-)
+from kinefilter.characters import InputError, Prop, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
-from kinefilter.characters.motion import frames_per_second
+from kinefilter.characters.motion import CONTACTS, Clip, Origin, Term, frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
 from kinefilter.retarget.heading_frame import floor_frame

@@ -24,14 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    InputError,
-    Skeleton,
-    State,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Skeleton, State
+from kinefilter.characters.anthropometry import standard_body
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.retarget.rig_map import listed, load_source_rig, matching_source_rig

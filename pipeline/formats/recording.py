@@ -9,7 +9,8 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.anthropometry import unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
@@ -110,9 +111,8 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
         raise InputError(f"{source}: has time stamps; leave out --take-fps")
     if not 1.0 <= fps <= FASTEST:
         raise InputError(f"--take-fps {fps:g}: expected 1 to {FASTEST:g} frames/s")
-    takes = tuple(
-        replace(take, time=take.time * (ASSUMED_FPS / fps)) for take in recording.takes
-    )
+    slower = ASSUMED_FPS / fps
+    takes = tuple(replace(t, time=slower * t.time) for t in recording.takes)
     for take in takes:
         check_rate(take.time, source)
     return replace(recording, takes=takes)
@@ -338,12 +338,10 @@ def takes_of_people(
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
         takes.append(Take(time[span], places, states, skeleton, name, face=face))
-    return tuple(takes), _notes_on_changes([parts for parts, _ in people], tracks)
+    return tuple(takes), _change_notes([parts for parts, _ in people], tracks)
 
 
-def _notes_on_changes(
-    people: Sequence[Sequence[Part]], tracks: Sequence[Track]
-) -> Notes:
+def _change_notes(people: Sequence[Sequence[Part]], tracks: Sequence[Track]) -> Notes:
     begin = min(float(track.time[0]) for track in tracks)
     changes = sorted(
         float(tracks[part.track].time[part.rows[0]]) - begin

@@ -37,16 +37,14 @@ class RowReader:
     hint: str = "leave the cell empty if nothing was measured"
     """What to do about a cell that is no number."""
 
-    def read(
-        self, lines: Iterable[str], first_row: int, most: float = math.inf
-    ) -> Block:
+    def read(self, lines: Iterable[str], first: int, most: float = math.inf) -> Block:
         """Read all rows in order, without blank lines.
 
-        ``first_row`` is the number of the first line, counted from 1. Stops early, some
+        ``first`` is the number of the first line, counted from 1. Stops early, some
         time after ``most`` rows. Raises InputError for a wrong number of columns, text,
         or an infinite number.
         """
-        numbered, count = enumerate(lines, start=first_row), 0
+        numbered, count = enumerate(lines, start=first), 0
         blocks = [Block(np.empty(0, int), np.empty((0, len(self.columns))))]
         while count <= most and (chunk := list(islice(numbered, _BLOCK_LINES))):
             # A tab at either end may be next to an empty cell.

@@ -13,20 +13,17 @@ from itertools import chain
 
 import numpy as np
 
-from kinefilter.characters import (
+from kinefilter.characters import InputError, Take
+from kinefilter.characters.arrays import Array, Codes, Flags, chunks
+from kinefilter.characters.motion import (
     CONTACTS,
-    KINECT_V1,
-    KINECT_V2,
-    SKELETONS,
     Clip,
-    InputError,
     Origin,
-    Skeleton,
     State,
     Take,
+    check_order,
 )
-from kinefilter.characters.arrays import Array, Codes, Flags, chunks
-from kinefilter.characters.motion import check_order
+from kinefilter.characters.skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz

@@ -150,9 +150,7 @@ def claims_take(path: AnyPath) -> bool:
             return claims_npy(source)
         if name in ("c3d", "trc"):
             return bool(read_recording(path, format=name).takes)
-        return name in ("bvh", "freemocap") or bool(
-            [float(word) for word in _words(line)]
-        )
+        return name in ("bvh", "freemocap") or bool([float(w) for w in _words(line)])
     except (InputError, ValueError):
         return False
 

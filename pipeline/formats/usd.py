@@ -62,7 +62,7 @@ def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None
                 # Writing text via a binary layer needs less memory.
                 folder = files.enter_context(tempfile.TemporaryDirectory())
                 layer = Path(folder) / "clip.usdc"
-            reference = _character_reference(clip, path, export, files)
+            reference = _reference(clip, path, export, files)
             _write_layer(clip, motion, layer, export, reference)
             if suffix == ".usda":
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
@@ -79,9 +79,7 @@ def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None
         ) from error
 
 
-def _character_reference(
-    clip: Clip, path: Path, export: Export, files: ExitStack
-) -> str | None:
+def _reference(clip: Clip, path: Path, export: Export, files: ExitStack) -> str | None:
     if export.character is None:
         return None
     if export.character.exists():
