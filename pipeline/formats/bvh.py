@@ -27,7 +27,6 @@ from kinefilter.retarget.target_rig import chained
 
 from .export import Export
 from .files import AnyPath, new_text, open_text
-from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
@@ -288,7 +287,7 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     with new_text(path) as file:
         file.writelines(hierarchy)
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for span in chunks(len(motion), FRAMES_AT_ONCE):
+        for span in chunks(len(motion)):
             numbers = motion[span]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 

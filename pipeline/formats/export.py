@@ -16,8 +16,8 @@ from kinefilter.pipeline.field_types import check_fields
 from kinefilter.retarget.heading_frame import floor_frame
 from kinefilter.retarget.looping import looped
 
-from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 from .rig import RootMotion
+from .rows import MOST_FRAMES
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 PER_FRAME = {
@@ -274,7 +274,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
         turned = np.empty((count, *rotations.shape[1:]))
-        for some in chunks(count, FRAMES_AT_ONCE):
+        for some in chunks(count):
             start, end = rotations[before[some]], rotations[after[some]]
             turned[some] = slerp(start, end, part[some])
         return turned

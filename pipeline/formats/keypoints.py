@@ -27,15 +27,13 @@ from .mocap import kinect_joints, plain_name, recording_of
 from .npz import read_array
 from .recording import (
     ASSUMED_FPS,
-    MOST_FRAMES,
     Recording,
     Sighting,
     check_length,
     of_other_tracker,
-    open_rows,
     takes_of_people,
 )
-from .rows import RowReader
+from .rows import MOST_FRAMES, RowReader, open_rows
 
 _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters

@@ -1,7 +1,6 @@
 """Recordings: the takes of all people in a file, and mocap, a skeleton in motion."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePath
@@ -16,13 +15,12 @@ from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.people import Part, Track, people_of
 
-from .files import open_text
 from .plain import counted
+from .rows import MOST_FRAMES
 
 _Path = TypeVar("_Path", bound=PurePath)
 Notes = tuple[str, ...]
 
-MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
 FASTEST = 2000.0  # frames/s, of marker mocap
 ASSUMED_FPS = 30.0
 """Frame rate [frames/s] of files without time stamps."""
@@ -38,8 +36,6 @@ _COARSEST = 1e-4  # s: a hundredth of a frame at 100 frames/s
 _LARGEST_PERSON = 10.0  # m; no person spans that, but everyone does in centimeters
 FARTHEST = 10_000.0  # m; out of any sensor's range, so a farther joint is damage
 _FRAMES_MEASURED = 1000  # enough for a median
-FRAMES_AT_ONCE = 1000  # written at a time: about a megabyte of text
-STATES = "a tracking state: 0 not tracked, 1 inferred or 2 tracked"
 _FEWEST = 2  # frames of a person: a single frame has no motion
 _GHOST_SHARE, _GHOST_FRAMES = 0.02, 15
 """Whoever has fewer frames, and less than this share of the main person's, is a false
@@ -131,17 +127,6 @@ def part_paths(path: _Path, parts: int) -> list[_Path]:
         return [path]
     names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
     return [path.with_name(name) for name in names]
-
-
-@contextmanager
-def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
-    """Yield the number and text of the first line that is not blank, and the rest."""
-    with open_text(source) as lines:
-        for row, line in enumerate(lines, start=1):
-            if line.strip():
-                yield row, line, lines
-                return
-        raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
 def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:

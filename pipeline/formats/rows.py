@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import ClassVar, NoReturn
@@ -11,11 +12,25 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, Flags, Indices
 
+from .files import open_text
 from .plain import counted
 
+MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
+STATES = "a tracking state: 0 not tracked, 1 inferred or 2 tracked"
 LARGEST_NUMBER = 1e9
 """Largest length or angle in any unit; a larger number means damage."""
 _BLOCK_LINES = 2000  # a few megabytes of text in memory, however long the file
+
+
+@contextmanager
+def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
+    """Yield the number and text of the first line that is not blank, and the rest."""
+    with open_text(source) as lines:
+        for row, line in enumerate(lines, start=1):
+            if line.strip():
+                yield row, line, lines
+                return
+        raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,29 +15,13 @@ import numpy as np
 
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, Codes, Flags, chunks
-from kinefilter.characters.motion import (
-    CONTACTS,
-    Clip,
-    Origin,
-    State,
-    Take,
-    check_order,
-)
+from kinefilter.characters.motion import CONTACTS, Clip, Origin, State, check_order
 from kinefilter.characters.skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
-from .recording import (
-    FRAMES_AT_ONCE,
-    MOST_FRAMES,
-    STATES,
-    Recording,
-    check_length,
-    mark_missing,
-    open_rows,
-    takes_of_rows,
-)
-from .rows import Block, RowReader
+from .recording import Recording, check_length, mark_missing, takes_of_rows
+from .rows import MOST_FRAMES, STATES, Block, RowReader, open_rows
 
 PART = ".part.csv"
 """Suffix of recordings by ``live``; if it is killed, the last row may be incomplete."""
@@ -68,7 +52,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for span in chunks(len(motion), FRAMES_AT_ONCE):
+        for span in chunks(len(motion)):
             rows = take_rows(motion.time[span], motion.positions[span], state[span])
             file.write(rows)
 

@@ -14,7 +14,8 @@ from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.target.upright import with_y_up
 
 from .files import AnyPath, beginning, check_file
-from .recording import Mocap, Recording, at_rate, open_rows
+from .recording import Mocap, Recording, at_rate
+from .rows import open_rows
 from .sheets import header_cells
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
