@@ -1,17 +1,8 @@
 """Skeletons, bodies, motions and the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, Body, standard_body
+from .anthropometry import STANDARD_HEIGHT, Body, positions_from_rotations, standard_body
 from .errors import InputError, KinefilterError
-from .motion import (
-    CONTACTS,
-    Clip,
-    Motion,
-    Origin,
-    State,
-    Take,
-    Term,
-    positions_from_rotations,
-)
+from .motion import CONTACTS, Clip, Motion, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 from .tracking import TRACKINGS, Tracking, TrackingName

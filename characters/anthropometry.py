@@ -18,7 +18,7 @@ import numpy as np
 
 from .arrays import Array, as_number, check_arrays, freeze, read_only
 from .errors import InputError
-from .rotations import unit
+from .rotations import rotate, unit
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
 GRAVITY = 9.81  # standard gravity [m/s^2], rounded as MuJoCo rounds it
@@ -221,3 +221,18 @@ def joint_masses(body: Body) -> Array:
     masses[skeleton.segments] = halves
     np.add.at(masses, skeleton.segment_parents, halves)
     return masses
+
+
+def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
+    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
+
+    Rotations are those of segments in the world, unit quaternions wxyz, identity in the
+    T-pose, shape (..., J, 4); ``root`` is the position of the root joint [m], (..., 3).
+    """
+    bones = rotate(rotations, body.rest_offsets)
+    positions = np.empty_like(bones)
+    skeleton = body.skeleton
+    positions[..., skeleton.root, :] = root
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
+    return positions

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .anthropometry import Body
+from .anthropometry import Body, positions_from_rotations
 from .arrays import (
     Array,
     Codes,
@@ -25,7 +25,6 @@ from .arrays import (
 )
 from .errors import InputError
 from .props import Prop
-from .rotations import rotate
 from .skeleton import Skeleton, check_skeleton
 
 LATEST_TIME_STAMP = 1e12
@@ -164,21 +163,6 @@ def frames_per_second(time: Array) -> float:
     """Return the nominal frame rate [1/s], 30 if there is no nominal step."""
     step = nominal_step(time)
     return 1.0 / step if step > 0.0 else 30.0
-
-
-def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
-    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
-
-    Rotations are those of segments in the world, unit quaternions wxyz, identity in the
-    T-pose, shape (..., J, 4); ``root`` is the position of the root joint [m], (..., 3).
-    """
-    bones = rotate(rotations, body.rest_offsets)
-    positions = np.empty_like(bones)
-    skeleton = body.skeleton
-    positions[..., skeleton.root, :] = root
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
-    return positions
 
 
 class _Frames:

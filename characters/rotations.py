@@ -156,6 +156,17 @@ def wxyz_from_matrix(matrix: ArrayLike) -> Array:
     return np.asarray(quats.reshape(*np.shape(matrix)[:-2], 4))
 
 
+def wxyz_from_euler(angles: Array, axes: str) -> Array:
+    """Convert intrinsic Euler angles [rad], shape (..., A), to wxyz, shape (..., 4).
+
+    With axes ``ZYX``, the first angle turns about z, the second about the turned y.
+    """
+    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
+    for k, axis in enumerate(axes):
+        rotation = multiply(rotation, _about(1 + "XYZ".index(axis), angles[..., k]))
+    return rotation
+
+
 def continuous(q: ArrayLike) -> Array:
     """Return quaternions (T, ..., 4) with signs that make them continuous in time."""
     signed = np.array(q)

@@ -14,15 +14,7 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array, chunks, freeze
-from kinefilter.characters.rotations import (
-    IDENTITY,
-    about_x,
-    about_y,
-    about_z,
-    multiply,
-    rotate,
-    wrapped,
-)
+from kinefilter.characters.rotations import multiply, rotate, wrapped, wxyz_from_euler
 from kinefilter.retarget.target_rig import chained
 
 from .export import Export
@@ -115,18 +107,6 @@ class Bvh:
         channels = enumerate(self.channels[joint], sum(map(len, self.channels[:joint])))
         columns = {k: c[0] for k, c in channels if c[1:] == kind}
         return "".join(columns.values()), self.motion[:, list(columns)]
-
-
-def wxyz_from_euler(angles: Array, axes: str) -> Array:
-    """Convert intrinsic Euler angles [rad], shape (..., A), to wxyz, shape (..., 4).
-
-    With axes ``ZYX``, the first angle turns about z, the second about the turned y.
-    """
-    about = {"X": about_x, "Y": about_y, "Z": about_z}
-    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
-    for k, axis in enumerate(axes):
-        rotation = multiply(rotation, about[axis](angles[..., k]))
-    return rotation
 
 
 def read_bvh(path: AnyPath) -> Bvh:

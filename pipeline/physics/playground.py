@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Clip, InputError, Motion, Prop
+from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import slerp
 from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
