@@ -1,6 +1,11 @@
 """Skeletons, bodies, motions and the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, Body, positions_from_rotations, standard_body
+from .anthropometry import (
+    STANDARD_HEIGHT,
+    Body,
+    positions_from_rotations,
+    standard_body,
+)
 from .errors import InputError, KinefilterError
 from .motion import CONTACTS, Clip, Motion, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind

@@ -212,10 +212,7 @@ def standard_body(
 
 
 def joint_masses(body: Body) -> Array:
-    """Return the mass [kg] that moves with each joint, shape (J,).
-
-    Half of every segment counts at each of its ends: the two-point model of a rod.
-    """
+    """Return the mass [kg] at each joint, (J,): half of every segment at each end."""
     skeleton = body.skeleton
     halves, masses = 0.5 * body.masses[skeleton.segments], body.masses.copy()
     masses[skeleton.segments] = halves

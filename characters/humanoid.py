@@ -109,8 +109,7 @@ def build_humanoids(
 
     The first is that of ``build_humanoid``. The names of the others begin with
     ``prefix_of(number)``, and their actuators have the group PULLS - number. All parts
-    of one collide with all parts of the others. Raises InputError if there are more
-    than MOST_CHARACTERS.
+    of one collide with those of others. Raises InputError beyond MOST_CHARACTERS.
     """
     if not 1 <= len(bodies) <= MOST_CHARACTERS:
         raise InputError(

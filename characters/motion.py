@@ -214,10 +214,7 @@ class Take(_Frames):
         freeze(self)
 
     def swapped(self, frames: Any = np.s_[:]) -> Take:
-        """Return the take with left and right swapped, in all or some of its frames.
-
-        Whoever is seen from behind has no face there.
-        """
+        """Return the take with sides swapped in some frames, which then have no face."""
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):
             values[frames] = values[frames][:, self.skeleton.mirror]
@@ -275,10 +272,7 @@ class Motion(_Frames):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clip(Motion):
-    """A cleaned motion with the provenance of each joint in each frame.
-
-    Time stamps are those of the take.
-    """
+    """A cleaned motion with the provenance of each joint; its times are the take's."""
 
     state: Codes
     """Recorded tracking state (State), shape (T, J), even where sides were swapped."""

@@ -62,10 +62,7 @@ def unit(v: Array) -> Array:
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the cross product of vectors (..., 3).
-
-    For a single frame, this is ten times as fast as ``np.cross``.
-    """
+    """Return the cross product (..., 3); for one frame ten times as fast as numpy's."""
     a, b = np.asarray(a), np.asarray(b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]

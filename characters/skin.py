@@ -142,10 +142,8 @@ def _weights(
     beyond = distances - distances[rows, nearest][:, None]
     share = np.maximum(1.0 - beyond / (_SHARING * radii[rows, nearest][:, None]), 0.0)
     # Only segments that meet the nearest one, or a third that does, count.
-    parents = np.array(skeleton.parents)
-    meets = (parents[:, None] == parents) | (
-        parents[:, None] == np.arange(len(parents))
-    )
+    parents = np.array(skeleton.parents)[:, None]
+    meets = (parents == parents.T) | (parents == np.arange(len(parents)))
     meets |= meets.T
     share = np.where((meets @ meets)[nearest], share * share, 0.0)
     share /= share.sum(axis=1, keepdims=True)
@@ -183,8 +181,7 @@ def quads_of(values: Array) -> tuple[Array, Indices]:
     """Return points (P, 3) and quads (Q, 4) of the surface where a field is zero.
 
     The field (X, Y, Z) is negative inside and positive on the whole border of its grid.
-    Points are in grid units; quads are indices of points, counterclockwise if seen from
-    outside.
+    Points are in grid units, quads indices of points, counterclockwise from outside.
     """
     values, cells = _unambiguous(values)
     inside = values < 0.0

@@ -43,8 +43,7 @@ def bent_limb(
 def shortage(leg: Array, reach: ArrayLike, most: float = np.inf) -> Array:
     """Return how far hips are too high above ankles [m], at most ``most``, shape (...).
 
-    ``leg`` (..., 3) points from the ankle to the hip [m], y up; ``reach`` is the length
-    of the straight leg [m].
+    ``leg`` (..., 3) is from ankle to hip [m], y up; a straight one is ``reach`` long.
     """
     level = np.sum(leg[..., [0, 2]] ** 2, axis=-1)
     height = np.sqrt(np.maximum(np.square(reach) - level, 0.0))

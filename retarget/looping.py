@@ -226,10 +226,7 @@ def _turns(vectors: Array) -> Array:
 
 
 def _joined(time: Array, moves: Array, planted: Flags) -> Array:
-    """Return moves (T, 3) [m] that are interpolated between contacts.
-
-    The first and last frame do not move unless the part is planted there.
-    """
+    """Return moves [m] (T, 3) between contacts, 0 at both ends unless planted there."""
     fixed = planted.copy()
     fixed[[0, -1]] = True
     moves = np.where(planted[:, None], moves, 0.0)

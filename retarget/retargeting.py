@@ -245,10 +245,7 @@ class _Motion:
 
 
 def angle_about(axis: Array, rotations: Array) -> Array:
-    """Return the twist [rad] of rotations, wxyz (..., 4), about a unit vector (3,).
-
-    It lies between -pi and pi; the rest of the rotation is about a perpendicular axis.
-    """
+    """Return the twist [rad] of rotations (..., 4) about a unit vector, within pi."""
     half = np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0])
     return wrapped(2.0 * half)
 

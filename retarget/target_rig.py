@@ -96,8 +96,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
     Lengths of limbs, widths of hips and shoulders and the distance between them are the
-    person's; the rest scales with the stature. The soles are at y = 0. An InputError
-    says if the map lacks offsets.
+    person's; the rest scales with the stature. The soles are at y = 0. Raises an
+    InputError if the map lacks offsets.
     """
     bones = [b for b in rig_map.bones if b.offset or b.twist_of or b.follows]
     names = tuple(bone.name for bone in bones)

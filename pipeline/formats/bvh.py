@@ -1,7 +1,4 @@
-"""BVH files, which every animation tool reads: read and written.
-
-Any skeleton and channel order can be read.
-"""
+"""BVH files, read and written; any skeleton and order of channels can be read."""
 
 import os
 import warnings
@@ -282,8 +279,7 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
 
     Two triples, and all their full turns, give the same rotation; each frame gets the
     one nearest to the frame before, so the angles are unbounded. In gimbal lock, the
-    third angle keeps its last value, initially 0. ``axes`` is the order of the axes,
-    such as ``ZYX``.
+    third angle keeps its last value, initially 0. ``axes`` is their order: ``ZYX``.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 

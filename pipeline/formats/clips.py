@@ -94,10 +94,7 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
-    """Write clips of people who were recorded together as one GLB.
-
-    Raises InputError as ``write_clip``.
-    """
+    """Write clips of people recorded together as one GLB; raises as ``write_clip``."""
     check_writable(path, export)
     paces = [with_frame_rate(export, ".glb", clip.time, clip.source) for clip in clips]
     clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
@@ -127,8 +124,7 @@ def read_clip(path: AnyPath) -> Clip:
     all but the name of the take, in whole percent and millimeters. BVH has positions
     and rotations, CSV only positions: the body is measured from them, contacts and
     props are unknown, and every joint counts as reliable; both may be gzipped. Raises
-    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
-    take.
+    InputError if the file is missing, damaged, of another skeleton, or no clip.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")

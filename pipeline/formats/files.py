@@ -299,10 +299,7 @@ def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
-    """Parse TOML from the place ``name``; raises InputError if it is malformed.
-
-    ``expected`` tells the user what to write instead.
-    """
+    """Parse TOML from the place ``name``; an InputError tells what is ``expected``."""
     try:
         return tomllib.loads(text)
     # Also errors from numbers of thousands of digits or thousands of brackets.

@@ -96,10 +96,7 @@ def _is_pose(shape: tuple[int, ...]) -> bool:
 
 
 def claims_npy(source: str) -> bool:
-    """Return True if an array's shape is one of landmarks; others are beside takes.
-
-    Raises InputError for damaged arrays.
-    """
+    """Return True if an array's shape is one of landmarks, or raise InputError."""
     return _is_pose(_read_npy(source).shape)
 
 

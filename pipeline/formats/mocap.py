@@ -121,10 +121,7 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
 def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
 ) -> tuple[Array, KinectMotion, tuple[str, ...]]:
-    """Return a take's positions [m] (T, J, 3), the motion they come from, and notes.
-
-    Raises InputError as ``kinect_motion``.
-    """
+    """Return positions [m] (T, J, 3), their motion, and notes, or raise InputError."""
     motion = kinect_motion(mocap, skeleton, rigs)
     positions, notes = motion.meters * motion.positions, list[str]()
     if not motion.unit:

@@ -170,10 +170,7 @@ def check_length(frames: int, source: str) -> None:
 
 
 def check_rate(time: Array, source: str) -> None:
-    """Raise InputError if the frame rate is no sensor's.
-
-    Also if time stamps [s], which may repeat, are too large to tell frames apart.
-    """
+    """Raise InputError if time stamps [s] are no sensor's, or too large to be exact."""
     distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
     step = nominal_step(time)
     if distinct > 1 and (distinct > FASTEST * seconds + 2 or step * FASTEST < 1.0):
@@ -238,11 +235,7 @@ class Sighting:
 def _sightings(
     time: Array, positions: Array, state: Codes, root: int
 ) -> tuple[Array, list[Sighting]]:
-    """Return the distinct time stamps and the bodies at each, numbered in row order.
-
-    There are no bodies if all rows are one person's, who moves little between rows of
-    the same time stamp.
-    """
+    """Return time stamps and the bodies at each; none if all are one person's."""
     stamps, frames = np.unique(time, return_inverse=True)
     known = ~np.isnan(positions[..., :1])
     count = np.maximum(known.sum(axis=1), 1)

@@ -55,9 +55,8 @@ class RowReader:
     def read(self, lines: Iterable[str], first: int, most: float = math.inf) -> Block:
         """Read all rows in order, without blank lines.
 
-        ``first`` is the number of the first line, counted from 1. Stops early, some
-        time after ``most`` rows. Raises InputError for a wrong number of columns, text,
-        or an infinite number.
+        ``first`` is the number of the first line, counted from 1. Stops early, after
+        ``most`` rows or more. Raises InputError for all but rows of finite numbers.
         """
         numbered, count = enumerate(lines, start=first), 0
         blocks = [Block(np.empty(0, int), np.empty((0, len(self.columns))))]
@@ -101,10 +100,7 @@ class RowReader:
         return numbers
 
     def refuse(self, block: Block, wrong: Flags, complaint: str) -> None:
-        """Raise InputError for the first wrong number (R, C), if any.
-
-        ``{}`` in the complaint stands for that number.
-        """
+        """Refuse the first wrong number (R, C), which is ``{}`` in the complaint."""
         if wrong.any():
             k, column = np.argwhere(wrong)[0].tolist()
             self._fail(block.rows[k], column, complaint.format(block.values[k, column]))

@@ -43,8 +43,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
     order. In a clip, every joint that was corrected or filled counts as inferred.
-    Positions have nine decimals, times are exact; a missing coordinate is an empty
-    cell.
+    Positions have nine decimals, times are exact; missing ones are empty cells.
     """
     state = motion.state
     if isinstance(motion, Clip):
@@ -300,10 +299,7 @@ def claims_contacts(path: AnyPath) -> bool:
 
 
 def contact_table(path: AnyPath) -> tuple[Array, Flags]:
-    """Read times [s] (T,) and contacts (T, 4) from a table or a clip as npz.
-
-    Raises InputError if the file is missing or malformed.
-    """
+    """Read times [s] (T,) and contacts (T, 4), from CSV or npz, or raise InputError."""
     source = os.fspath(path)
     if source.lower().endswith(".npz"):
         clip = read_npz(path)

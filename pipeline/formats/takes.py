@@ -81,8 +81,7 @@ def read_take(
 ) -> Take:
     """Read a recording of a person.
 
-    Formats (FORMATS; their layouts are in CONVENTIONS.md) are detected by content, and
-    each may be gzipped.
+    Formats (FORMATS; see CONVENTIONS.md) are detected by content, and may be gzipped.
 
     A joint that is not tracked, not a number or exactly at the origin, where sensors
     put joints that they do not see, is missing: NaN and state 0. Joints from trackers
