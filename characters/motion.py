@@ -214,7 +214,7 @@ class Take(_Frames):
         freeze(self)
 
     def swapped(self, frames: Any = np.s_[:]) -> Take:
-        """Return the take with sides swapped in some frames, which then have no face."""
+        """Return the take with sides swapped in frames, which then have no face."""
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):
             values[frames] = values[frames][:, self.skeleton.mirror]

@@ -202,7 +202,7 @@ def whole_rate(rate: float) -> float:
 
 
 def span_of(export: Export, time: Array, source: str) -> slice:
-    """Return the frames of an export's span, with times [s] (T,), or raise InputError."""
+    """Return an export's span of times [s] (T,) as frames, or raise InputError."""
     since, duration = time - time[0], float(time[-1] - time[0])
     begin, end = export.begin or 0.0, duration if export.end is None else export.end
     slack = 1.0 / frames_per_second(time)
