@@ -9,8 +9,6 @@ Sources:
     Radii: a cylinder of the segment's mass and tissue density, plus the capsule's caps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -109,26 +107,6 @@ def _checked_size(name: str, value: object) -> float:
     return number
 
 
-def _check_segments(body: Body) -> None:
-    skeleton = body.skeleton
-    count, ends = len(skeleton), skeleton.segments
-    shapes = {"lengths": (count,), "directions": (count, 3)}
-    check_arrays(body, "a body", shapes, f" for {skeleton.name}")
-    lengths = body.lengths[ends]
-    with np.errstate(over="ignore"):  # damaged files hold huge numbers
-        norms = np.linalg.norm(body.directions[ends], axis=1)
-    for values, valid, words in (
-        (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
-        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
-    ):
-        if not valid.all():
-            k = int(np.argmin(valid))
-            raise InputError(
-                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
-                "give lengths above 0 and unit directions"
-            )
-
-
 def unit_hint(size: float) -> str:
     """Return advice for a person whose size is implausible in meters."""
     for name, per_meter in _UNITS.items():
@@ -191,6 +169,26 @@ class Body:
         radii = np.minimum(radii, bounds * self.height)
         radii[skeleton.sides("Foot")] = _FOOT_RADIUS * self.height
         return read_only(radii)
+
+
+def _check_segments(body: Body) -> None:
+    skeleton = body.skeleton
+    count, ends = len(skeleton), skeleton.segments
+    shapes = {"lengths": (count,), "directions": (count, 3)}
+    check_arrays(body, "a body", shapes, f" for {skeleton.name}")
+    lengths = body.lengths[ends]
+    with np.errstate(over="ignore"):  # damaged files hold huge numbers
+        norms = np.linalg.norm(body.directions[ends], axis=1)
+    for values, valid, words in (
+        (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
+        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
+    ):
+        if not valid.all():
+            k = int(np.argmin(valid))
+            raise InputError(
+                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
+                "give lengths above 0 and unit directions"
+            )
 
 
 def standard_body(

@@ -15,12 +15,10 @@ IDENTITY.flags.writeable = False
 
 # Matrix of the product with a quaternion on the left: which component is at each place.
 _HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
-_HAMILTON_SIGNS = np.array(
-    [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
-)
+_SIGNS = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
 # Maps a quaternion to that matrix, row after row.
 _TO_PRODUCT = np.zeros((4, 16))
-_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _HAMILTON_SIGNS.ravel()
+_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _SIGNS.ravel()
 # Likewise, the matrix of the cross product with the quaternion's vector part.
 _CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
 _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])

@@ -5,8 +5,6 @@ point in every grid cell that the surface of the flesh crosses, and one quad acr
 every grid edge that it cuts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

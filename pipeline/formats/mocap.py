@@ -14,8 +14,6 @@ A confidence of at least 0.5 counts as tracked, a lower one as inferred: MediaPi
 only landmarks with a visibility of at least 0.5.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -34,7 +32,7 @@ from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
+from .recording import Mocap, Recording, check_length, not_by_kinect, takes_of_rows
 
 _POINT_RIGS: Sequence[str] = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
@@ -60,6 +58,18 @@ _NO_TRAVEL = (
     "the hips stay over one place: the tracker gives postures but not the path of the "
     "person"
 )
+
+
+@dataclass(frozen=True, eq=False)
+class KinectMotion:
+    """The motion of a Kinect's joints in mocap, y up."""
+
+    positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
+    turns: Array | None  # world rotation of the part that turns each segment, wxyz
+    state: Codes  # tracking states, shape (T, J)
+    unit: str  # best fit to the bones; empty if none fits
+    meters: float  # length of the unit, or scale to a standard body if none fits [m]
+    rig: str
 
 
 def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
@@ -115,7 +125,7 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
     takes, others = takes_of_rows(time, positions, motion.state, skeleton, mocap.source)
     recording = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
-    return recording if motion.rig == skeleton.name else of_other_tracker(recording)
+    return recording if motion.rig == skeleton.name else not_by_kinect(recording)
 
 
 def kinect_joints(
@@ -132,18 +142,6 @@ def kinect_joints(
         positions = positions + _AHEAD
         notes.append(_NO_TRAVEL)
     return positions, motion, tuple(notes)
-
-
-@dataclass(frozen=True, eq=False)
-class KinectMotion:
-    """The motion of a Kinect's joints in mocap, y up."""
-
-    positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
-    turns: Array | None  # world rotation of the part that turns each segment, wxyz
-    state: Codes  # tracking states, shape (T, J)
-    unit: str  # best fit to the bones; empty if none fits
-    meters: float  # length of the unit, or scale to a standard body if none fits [m]
-    rig: str
 
 
 def plain_name(name: str) -> str:

@@ -87,7 +87,7 @@ _OTHER_TRACKER = (
 )
 
 
-def of_other_tracker(recording: Recording) -> Recording:
+def not_by_kinect(recording: Recording) -> Recording:
     """Mark a recording as one whose joints do not come from a Kinect's tracker."""
     takes = tuple(replace(take, by_kinect=False) for take in recording.takes)
     return replace(recording, takes=takes, notes=(*recording.notes, _OTHER_TRACKER))
