@@ -151,9 +151,9 @@ def _embedded(folder: str, name: str) -> dict[str, Any]:
 
 def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
     """Return the map in the table of a TOML file, or raise an InputError."""
-    rows, prefix = table.get("bones"), table.get("prefix", "")
-    in_bvh, wrong = table.get("axes_in_bvh", False), ""
-    known = ("prefix", "axes", "axes_in_bvh", "bones")
+    rows: Any = table.get("bones")
+    prefix, in_bvh = table.get("prefix", ""), table.get("axes_in_bvh", False)
+    known, wrong = ("prefix", "axes", "axes_in_bvh", "bones"), ""
     if not isinstance(rows, dict) or not isinstance(prefix, str):
         wrong = "expected a table [bones] with a row per joint and, optionally, a text "
         wrong += "'prefix'"
