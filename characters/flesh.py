@@ -234,8 +234,7 @@ def _add_leg(clay: _Sculptor, side: int, sign: float) -> None:
     back = thick + np.array([0.0, 0.0, -0.35]) * calf
     clay.add(ankle, at(knee), back, (0.96 * bend, calf))
     clay.add(ankle, back, at(ankle, z=-0.004), (calf, 0.62 * calf))
-    shin = at(ankle, y=0.02, z=-0.002)
-    clay.add(ankle, thick, shin, (0.7 * calf, 0.5 * calf))
+    clay.add(ankle, thick, at(ankle, y=0.02, z=-0.002), (0.7 * calf, 0.5 * calf))
     # Soles are on the floor.
     heel, ball, toes = 0.021 * height, 0.0265 * height, 0.022 * height
     flat, below = (1.0, 0.62, 1.0), np.array([1.0, 0.0, 1.0])

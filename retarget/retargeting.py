@@ -246,8 +246,7 @@ class _Motion:
 
 def angle_about(axis: Array, rotations: Array) -> Array:
     """Return the twist [rad] of rotations (..., 4) about a unit vector, within pi."""
-    half = np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0])
-    return wrapped(2.0 * half)
+    return wrapped(2.0 * np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0]))
 
 
 def twisted(twists: dict[int, Twist], turns: dict[int, Array]) -> dict[int, Array]:
@@ -271,8 +270,7 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
         return skeleton.index(f"{_SEGMENTS[limb]}{side.capitalize()}")
     head, chest = skeleton.index("Head"), skeleton.girdle
     neck = head if skeleton.parents[head] == chest else skeleton.parents[head]
-    trunk = {"pelvis": skeleton.root, "spine": chest, "neck": neck, "head": head}
-    return trunk[part]
+    return {"pelvis": skeleton.root, "spine": chest, "neck": neck, "head": head}[part]
 
 
 def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:

@@ -183,8 +183,7 @@ class Palms(_StraightChains):
         bones = positions[..., self._thumbs, :] - positions[..., self.starts, :]
         local = rotate(inverse(rotations[..., self.starts, :]), bones)
         local = rotate(between(hands, self.along), local)
-        seen = np.vecdot(local[..., None, :], self._sides)
-        return seen, weights[..., self._thumbs]
+        return np.vecdot(local[..., None, :], self._sides), weights[..., self._thumbs]
 
     def twist(self, thumbs: Array, weights: Array) -> Array:
         """Return the twist [rad] of forearms from results of ``thumbs``, (..., 2).

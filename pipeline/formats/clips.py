@@ -98,8 +98,7 @@ def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
     check_writable(path, export)
     paces = [with_frame_rate(export, ".glb", clip.time, clip.source) for clip in clips]
     clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
-    motions = map(_rig_motion, clips, paces)
-    write_glb([*zip(clips, motions, strict=True)], path, export)
+    write_glb([*zip(clips, map(_rig_motion, clips, paces), strict=True)], path, export)
 
 
 def _rig_motion(clip: Clip, export: Export) -> RigMotion:

@@ -300,5 +300,4 @@ def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:
 
 def _packed(whole: Array) -> str:
     """Return whole numbers (K, ...), a column after the other, compressed, as text."""
-    columns = whole.T.astype(PACKED).tobytes()
-    return base64.b64encode(zlib.compress(columns)).decode()
+    return base64.b64encode(zlib.compress(whole.T.astype(PACKED).tobytes())).decode()

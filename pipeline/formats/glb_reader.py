@@ -153,8 +153,7 @@ def _provenance(extras: dict[str, Any], count: int, kept: Indices) -> dict[str, 
     for name, field in glb.PER_KEYFRAME.items():
         width = {"contacts": len(CONTACTS), "external_force": 1}.get(field, joints)
         size = count * width * glb.PACKED.itemsize
-        text = base64.b64decode(extras[name])
-        data = zlib.decompressobj().decompress(text, size + 1)
+        data = zlib.decompressobj().decompress(base64.b64decode(extras[name]), size + 1)
         rows = np.frombuffer(data, glb.PACKED).reshape(width, count).T[kept]
         rows = rows.astype(float)
         if field == "external_force":

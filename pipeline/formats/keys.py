@@ -108,8 +108,7 @@ def sparse_curves(
         above, place = inverse(turned[:, parent]), rest[node]
         if node in paths:
             goal = rotate(above, targets[:, node] - positions[:, parent])
-            errors = partial(position_errors, node)
-            curve, place = _fitted(node, stamps, goal, errors)
+            curve, place = _fitted(node, stamps, goal, partial(position_errors, node))
             yield curve
         positions[:, node] = placed(node, place)
         goal = continuous(multiply(above, wanted[:, node]))

@@ -79,8 +79,7 @@ class RowReader:
             numbered = zip(rows, texts, strict=True)
             values = np.array([self._numbers(row, text) for row, text in numbered])
         block = Block(rows, values)
-        complaint = "is infinite; expected a finite number"
-        self.refuse(block, np.isinf(values), complaint)
+        self.refuse(block, np.isinf(values), "is infinite; expected a finite number")
         return block
 
     def _numbers(self, row: int, text: str) -> list[float]:

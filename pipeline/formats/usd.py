@@ -121,8 +121,7 @@ def _write_layer(
     if reference is not None:
         # Last, once no stage resolves the reference: its layer may not exist yet.
         del stage
-        references = layer.GetPrimAtPath(CHARACTER).referenceList
-        references.Prepend(Sdf.Reference(reference))
+        layer.GetPrimAtPath(CHARACTER).referenceList.Prepend(Sdf.Reference(reference))
     layer.Save()
 
 
