@@ -116,9 +116,7 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
 
 def numbered(path: _Path, body: int | None) -> _Path:
     """Return the path for one of several people: ``clip.2.usda`` for ``clip.usda``."""
-    if body is None:
-        return path
-    return path.with_name(f"{path.stem}.{body}{path.suffix}")
+    return path if body is None else path.with_name(f"{path.stem}.{body}{path.suffix}")
 
 
 def part_paths(path: _Path, parts: int) -> list[_Path]:
