@@ -132,7 +132,7 @@ def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
 def _fitted(
     node: int, stamps: Array, values: Array, errors: Callable[[Array], Array]
 ) -> tuple[Curve, Array]:
-    """Return a curve through few values (T, C), and its own; ``errors`` stay up to 1."""
+    """Return a curve through few values (T, C), and its own, of ``errors`` up to 1."""
     from scipy.interpolate import CubicSpline  # slow to load
 
     kept = np.zeros(len(stamps), dtype=np.bool_)
