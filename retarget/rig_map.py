@@ -50,20 +50,12 @@ RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
 """Names of the built-in maps."""
 
 SIDES = ("left", "right")
-_LIMBS = {  # part: its parent, None for the pelvis
-    "clavicle": None,
-    "upper arm": None,
-    "lower arm": "upper arm",
-    "hand": "lower arm",
-    "thigh": None,
-    "shin": "thigh",
-    "foot": "shin",
-    "toes": "foot",
-}
+_ARM, _LEG = ("upper arm", "lower arm", "hand"), ("thigh", "shin", "foot", "toes")
 CHAINS = {
-    f"{side} {part}": f"{side} {above}" if above else "pelvis"
+    f"{side} {part}": f"{side} {limb[k - 1]}" if k else "pelvis"
     for side in SIDES
-    for part, above in _LIMBS.items()
+    for limb in (("clavicle",), _ARM, _LEG)
+    for k, part in enumerate(limb)
 } | {"spine": "pelvis", "neck": "pelvis", "head": "pelvis"}
 """Parent of each part of the body."""
 PARTS = ("pelvis", *CHAINS)  # parts of the body that turn bones
