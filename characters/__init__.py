@@ -1,17 +1,13 @@
 """Skeletons, bodies, motions and the MuJoCo humanoid."""
 
-from .anthropometry import STANDARD_HEIGHT, STATURES, Body, standard_body, unit_hint
-from .errors import InputError, KinefilterError
-from .motion import (
-    CONTACTS,
-    Clip,
-    Motion,
-    Origin,
-    State,
-    Take,
-    Term,
+from .anthropometry import (
+    STANDARD_HEIGHT,
+    Body,
     positions_from_rotations,
+    standard_body,
 )
+from .errors import InputError, KinefilterError
+from .motion import CONTACTS, Clip, Motion, Origin, State, Take, Term
 from .props import Prop, Shape, ShapeKind
 from .skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton, skeleton_named
 from .tracking import TRACKINGS, Tracking, TrackingName
@@ -22,7 +18,6 @@ __all__ = [
     "KINECT_V2",
     "SKELETONS",
     "STANDARD_HEIGHT",
-    "STATURES",
     "TRACKINGS",
     "Body",
     "Clip",
@@ -42,5 +37,4 @@ __all__ = [
     "positions_from_rotations",
     "skeleton_named",
     "standard_body",
-    "unit_hint",
 ]

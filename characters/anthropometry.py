@@ -9,8 +9,6 @@ Sources:
     Radii: a cylinder of the segment's mass and tissue density, plus the capsule's caps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +16,7 @@ import numpy as np
 
 from .arrays import Array, as_number, check_arrays, freeze, read_only
 from .errors import InputError
-from .rotations import unit
+from .rotations import rotate, unit
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
 GRAVITY = 9.81  # standard gravity [m/s^2], rounded as MuJoCo rounds it
@@ -47,7 +45,7 @@ _LARGEST_RADIUS, _LARGEST_HAND_RADIUS = 0.065, 0.018  # of stature. Guesses.
 # (Norkin & White 2016, Measurement of Joint Motion, appendix B) relative to the T-pose,
 # plus a margin for where Kinect's joints lie in the body: in marker mocap converted to
 # Kinect joints, 1 % of the frames exceed them. Wrists have what people use of theirs
-# (``retarget.palms``), or contact with the body would bend them to their limits.
+# (``retarget.Palms``), or contact with the body would bend them to their limits.
 _Row = tuple[float, float, tuple[float, float, float], float]
 _LIMBS: dict[str, _Row] = {
     "Shoulder": (0.110, 0.0300, (1.0, 0.0, 0.0), 50.0),
@@ -109,26 +107,6 @@ def _checked_size(name: str, value: object) -> float:
     return number
 
 
-def _check_segments(body: Body) -> None:
-    skeleton = body.skeleton
-    count, ends = len(skeleton), skeleton.segments
-    shapes = {"lengths": (count,), "directions": (count, 3)}
-    check_arrays(body, "a body", shapes, f" for {skeleton.name}")
-    lengths = body.lengths[ends]
-    with np.errstate(over="ignore"):  # damaged files hold huge numbers
-        norms = np.linalg.norm(body.directions[ends], axis=1)
-    for values, valid, words in (
-        (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
-        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
-    ):
-        if not valid.all():
-            k = int(np.argmin(valid))
-            raise InputError(
-                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
-                "give lengths above 0 and unit directions"
-            )
-
-
 def unit_hint(size: float) -> str:
     """Return advice for a person whose size is implausible in meters."""
     for name, per_meter in _UNITS.items():
@@ -141,12 +119,9 @@ def unit_hint(size: float) -> str:
 class Body:
     """Size and mass of a person's segments; arrays are read-only."""
 
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    height: float
-    """Stature [m]."""
-    mass: float
-    """Body mass [kg]."""
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    height: float  # stature [m]
+    mass: float  # body mass [kg]
     lengths: Array
     """Length [m] of the segment that ends at each joint, shape (J,), root 0."""
     directions: Array
@@ -196,6 +171,26 @@ class Body:
         return read_only(radii)
 
 
+def _check_segments(body: Body) -> None:
+    skeleton = body.skeleton
+    count, ends = len(skeleton), skeleton.segments
+    shapes = {"lengths": (count,), "directions": (count, 3)}
+    check_arrays(body, "a body", shapes, f" for {skeleton.name}")
+    lengths = body.lengths[ends]
+    with np.errstate(over="ignore"):  # damaged files hold huge numbers
+        norms = np.linalg.norm(body.directions[ends], axis=1)
+    for values, valid, words in (
+        (lengths, (lengths > 0.0) & (lengths < _LONGEST), "is {:g} m long"),
+        (norms, np.abs(norms - 1.0) < _UNIT, "points along a vector of length {:g}"),
+    ):
+        if not valid.all():
+            k = int(np.argmin(valid))
+            raise InputError(
+                f"the segment to {skeleton.joints[ends[k]]} {words.format(values[k])}; "
+                "give lengths above 0 and unit directions"
+            )
+
+
 def standard_body(
     skeleton: Skeleton, *, height: float = STANDARD_HEIGHT, mass: float | None = None
 ) -> Body:
@@ -215,14 +210,24 @@ def standard_body(
 
 
 def joint_masses(body: Body) -> Array:
-    """Return the mass [kg] that moves with each joint, shape (J,).
-
-    Half of every segment counts at each of its ends: the two-point model of a rod.
-    """
+    """Return the mass [kg] at each joint, (J,): half of every segment at each end."""
     skeleton = body.skeleton
-    halves = 0.5 * body.masses[skeleton.segments]
-    masses = np.zeros(len(skeleton))
-    masses[skeleton.root] = body.masses[skeleton.root]
+    halves, masses = 0.5 * body.masses[skeleton.segments], body.masses.copy()
     masses[skeleton.segments] = halves
     np.add.at(masses, skeleton.segment_parents, halves)
     return masses
+
+
+def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
+    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
+
+    Rotations are those of segments in the world, unit quaternions wxyz, identity in the
+    T-pose, shape (..., J, 4); ``root`` is the position of the root joint [m], (..., 3).
+    """
+    bones = rotate(rotations, body.rest_offsets)
+    positions = np.empty_like(bones)
+    skeleton = body.skeleton
+    positions[..., skeleton.root, :] = root
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
+    return positions

@@ -27,7 +27,7 @@ def read_only(array: NDArray[Number]) -> NDArray[Number]:
     return view
 
 
-def chunks(count: int, size: int) -> list[slice]:
+def chunks(count: int, size: int = 1000) -> list[slice]:
     """Return slices of ``size`` frames that cover ``count`` frames, to bound memory."""
     return [slice(start, start + size) for start in range(0, count, size)]
 

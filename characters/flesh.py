@@ -195,9 +195,8 @@ def _add_head(clay: _Sculptor) -> None:
 
 def _add_arm(clay: _Sculptor, side: int, sign: float) -> None:
     body, skeleton, at = clay.body, clay.body.skeleton, clay.at
-    shoulder, elbow, wrist, hand = (
-        skeleton.sides(part)[side] for part in ("Shoulder", "Elbow", "Wrist", "Hand")
-    )
+    parts = "Shoulder", "Elbow", "Wrist", "Hand"
+    shoulder, elbow, wrist, hand = (skeleton.sides(part)[side] for part in parts)
     upper, lower, height = body.radii[elbow], body.radii[wrist], body.height
     bend = 0.5 * (upper + lower)
     middle = at(shoulder) + 0.5 * (at(elbow) - at(shoulder))
@@ -221,9 +220,8 @@ def _add_arm(clay: _Sculptor, side: int, sign: float) -> None:
 
 def _add_leg(clay: _Sculptor, side: int, sign: float) -> None:
     body, skeleton, at = clay.body, clay.body.skeleton, clay.at
-    hip, knee, ankle, foot = (
-        skeleton.sides(part)[side] for part in ("Hip", "Knee", "Ankle", "Foot")
-    )
+    names = "Hip", "Knee", "Ankle", "Foot"
+    hip, knee, ankle, foot = (skeleton.sides(name)[side] for name in names)
     hips, height = body.rest_positions[skeleton.hips], body.height
     # Legs stay apart, however near to each other the hips are.
     widest = 0.42 * float(np.linalg.norm(hips[0] - hips[1]))
@@ -236,8 +234,7 @@ def _add_leg(clay: _Sculptor, side: int, sign: float) -> None:
     back = thick + np.array([0.0, 0.0, -0.35]) * calf
     clay.add(ankle, at(knee), back, (0.96 * bend, calf))
     clay.add(ankle, back, at(ankle, z=-0.004), (calf, 0.62 * calf))
-    shin = at(ankle, y=0.02, z=-0.002)
-    clay.add(ankle, thick, shin, (0.7 * calf, 0.5 * calf))
+    clay.add(ankle, thick, at(ankle, y=0.02, z=-0.002), (0.7 * calf, 0.5 * calf))
     # Soles are on the floor.
     heel, ball, toes = 0.021 * height, 0.0265 * height, 0.022 * height
     flat, below = (1.0, 0.62, 1.0), np.array([1.0, 0.0, 1.0])

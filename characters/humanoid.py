@@ -109,8 +109,7 @@ def build_humanoids(
 
     The first is that of ``build_humanoid``. The names of the others begin with
     ``prefix_of(number)``, and their actuators have the group PULLS - number. All parts
-    of one collide with all parts of the others. Raises InputError if there are more
-    than MOST_CHARACTERS.
+    of one collide with those of others. Raises InputError beyond MOST_CHARACTERS.
     """
     if not 1 <= len(bodies) <= MOST_CHARACTERS:
         raise InputError(
@@ -129,8 +128,7 @@ def build_humanoids(
             pull.group = PULLS - number
         if number:
             one.delete(floor)
-            frame = spec.worldbody.add_frame()
-            spec.attach(one, frame=frame, prefix=prefix_of(number))
+            spec.attach(one, frame=spec.worldbody.add_frame(), prefix=prefix_of(number))
     spec.geom("floor").contype |= FLOOR_BIT
     return spec
 
@@ -225,8 +223,7 @@ def _add_pulls(spec: mujoco.MjSpec, body: Body, tracking: Tracking) -> None:
     inertias[skeleton.root] += float(body.masses[hips] @ body.lengths[hips] ** 2) / 3.0
     axes = to_mujoco(body.rest_offsets)
     for j, joint in enumerate(skeleton.joints):
-        at_root = j == skeleton.root
-        turns = np.eye(3) if at_root else [axes[j] / np.linalg.norm(axes[j])]
+        turns = np.eye(3) if j == skeleton.root else [axes[j] / np.linalg.norm(axes[j])]
         for k, direction in enumerate(turns):
             name, site = f"turn:{joint}:{k}", f"target:{joint}"
             turn = spec.add_actuator(name=name, target=joint, refsite=site)

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .anthropometry import Body
+from .anthropometry import Body, positions_from_rotations
 from .arrays import (
     Array,
     Codes,
@@ -25,7 +25,6 @@ from .arrays import (
 )
 from .errors import InputError
 from .props import Prop
-from .rotations import rotate
 from .skeleton import Skeleton, check_skeleton
 
 LATEST_TIME_STAMP = 1e12
@@ -166,21 +165,6 @@ def frames_per_second(time: Array) -> float:
     return 1.0 / step if step > 0.0 else 30.0
 
 
-def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array:
-    """Return joint positions [m] of a body, world frame, shape (..., J, 3).
-
-    Rotations are those of segments in the world, unit quaternions wxyz, identity in the
-    T-pose, shape (..., J, 4); ``root`` is the position of the root joint [m], (..., 3).
-    """
-    bones = rotate(rotations, body.rest_offsets)
-    positions = np.empty_like(bones)
-    skeleton = body.skeleton
-    positions[..., skeleton.root, :] = root
-    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
-        positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
-    return positions
-
-
 class _Frames:
     """Base of takes and motions: arrays with a row per frame."""
 
@@ -196,12 +180,11 @@ class _Frames:
 
     def at(self, frames: Any) -> Self:
         """Return some of the frames: a slice, indices or flags."""
+        some = {name: getattr(self, name)[frames] for name in _shapes(self, 0, 0)}
+        if props := getattr(self, "props", ()):
+            some["props"] = tuple(prop.at(frames) for prop in props)
         # Takes and motions are dataclasses.
-        return replace(self, **self._at(frames))  # type: ignore[type-var]
-
-    def _at(self, frames: Any) -> dict[str, Any]:
-        names = _shapes(self, 0, 0)
-        return {name: getattr(self, name)[frames] for name in names}
+        return replace(self, **some)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +195,9 @@ class Take(_Frames):
     """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
     positions: Array
     """Joint positions [m], sensor frame, y up, shape (T, J, 3); NaN if not tracked."""
-    state: Codes
-    """Tracking state per joint (State), shape (T, J)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str = "take"
-    """Origin of the take, for messages."""
+    state: Codes  # tracking state per joint (State), shape (T, J)
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    source: str = "take"  # origin of the take, for messages
     by_kinect: bool = True
     """True if the joints have the constant offsets of a Kinect's tracker."""
     face: Array | None = None
@@ -234,10 +214,7 @@ class Take(_Frames):
         freeze(self)
 
     def swapped(self, frames: Any = np.s_[:]) -> Take:
-        """Return the take with left and right swapped, in all or some of its frames.
-
-        Whoever is seen from behind has no face there.
-        """
+        """Return the take with sides swapped in frames, which then have no face."""
         positions, state = self.positions.copy(), self.state.copy()
         for values in (positions, state):
             values[frames] = values[frames][:, self.skeleton.mirror]
@@ -263,17 +240,13 @@ class Motion(_Frames):
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
     """
 
-    time: Array
-    """Time stamps [s], never decreasing, shape (T,)."""
-    body: Body
-    """Skeleton, segment lengths and rest pose."""
-    root: Array
-    """Position of the root joint [m], world frame, shape (T, 3)."""
+    time: Array  # time stamps [s], never decreasing, shape (T,)
+    body: Body  # skeleton, segment lengths and rest pose
+    root: Array  # position of the root joint [m], world frame, shape (T, 3)
     rotations: Array
     """World rotation of the segment that ends at each joint, unit quaternions wxyz,
     shape (T, J, 4), identity in the rest pose; the root's row is the pelvis."""
-    source: str = "motion"
-    """Origin of the motion, for messages."""
+    source: str = "motion"  # origin of the motion, for messages
 
     def __post_init__(self) -> None:
         check_kind(self.body, Body, "the body of a motion")
@@ -299,19 +272,13 @@ class Motion(_Frames):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clip(Motion):
-    """A cleaned motion with the provenance of each joint in each frame.
-
-    Time stamps are those of the take.
-    """
+    """A cleaned motion with the provenance of each joint; its times are the take's."""
 
     state: Codes
     """Recorded tracking state (State), shape (T, J), even where sides were swapped."""
-    reliability: Array
-    """Reliability in [0, 1], NaN where unknown, shape (T, J)."""
-    deciding_term: Codes
-    """Reliability term that decided (Term), shape (T, J)."""
-    origin: Codes
-    """Source of each joint's position (Origin), shape (T, J)."""
+    reliability: Array  # reliability in [0, 1], NaN where unknown, shape (T, J)
+    deciding_term: Codes  # reliability term that decided (Term), shape (T, J)
+    origin: Codes  # source of each joint's position (Origin), shape (T, J)
     moved_by_correction: Array
     """Distance from the measurement, with swapped sides restored, to the corrected one
     [m], NaN where nothing was measured, shape (T, J)."""
@@ -325,8 +292,7 @@ class Clip(Motion):
     external_force: Array
     """Force on the body that comes from neither muscles nor floor [body weights], shape
     (T,); NaN where nothing was simulated."""
-    props: tuple[Prop, ...] = ()
-    """Objects around the character in the simulation."""
+    props: tuple[Prop, ...] = ()  # objects around the character in the simulation
     tilt: float = float("nan")
     """Angle [rad] about x, from y to z, by which the take was rotated about the sensor:
     ``y cos(tilt) - z sin(tilt)`` is up. Positive if the floor rises away from the
@@ -358,10 +324,6 @@ class Clip(Motion):
         for name in ("tilt", "floor", "roll"):
             what = f"{self.source}: {name}"
             object.__setattr__(self, name, as_number(getattr(self, name), what))
-
-    def _at(self, frames: Any) -> dict[str, Any]:
-        props = tuple(prop.at(frames) for prop in self.props)
-        return {**super()._at(frames), "props": props}
 
     @classmethod
     def of(cls, motion: Motion, **known: Any) -> Self:

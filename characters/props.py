@@ -8,15 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from .arrays import (
-    Array,
-    Indices,
-    Lengths,
-    check_arrays,
-    check_choice,
-    check_kind,
-    freeze,
-)
+from .arrays import Array, Indices, check_arrays, check_choice, check_kind, freeze
 from .errors import InputError
 from .rotations import rotate
 
@@ -35,19 +27,14 @@ class Shape:
     """Kind of solid; the axis of cylinders and capsules is their own y axis."""
     size: Array
     """Half extents along its own axes [m], shape (3,); y excludes a capsule's caps."""
-    position: Array
-    """Center in the prop's frame [m], shape (3,)."""
-    rotation: Array
-    """Rotation in the prop's frame, unit quaternion wxyz, shape (4,)."""
-    color: Array
-    """Red, green and blue in sRGB, 0 to 1, shape (3,)."""
-    points: Array
-    """Points of a mesh [m], shape (P, 3); empty for other kinds."""
-    triangles: Indices
-    """Indices of points, counterclockwise from outside, shape (F, 3)."""
+    position: Array  # center in the prop's frame [m], shape (3,)
+    rotation: Array  # rotation in the prop's frame, unit quaternion wxyz, shape (4,)
+    color: Array  # red, green and blue in sRGB, 0 to 1, shape (3,)
+    points: Array  # points of a mesh [m], shape (P, 3); empty for other kinds
+    triangles: Indices  # indices of points, counterclockwise from outside, shape (F, 3)
 
     def __post_init__(self) -> None:
-        shapes: dict[str, Lengths] = {"rotation": (4,)}
+        shapes: dict[str, Any] = {"rotation": (4,)}
         shapes |= dict.fromkeys(("size", "position", "color"), (3,))
         shapes |= dict.fromkeys(("points", "triangles"), (None, 3))
         check_arrays(self, "a prop", shapes, finite=True)
@@ -99,13 +86,11 @@ class Shape:
 class Prop:
     """A rigid object of one or more shapes, and its motion."""
 
-    name: str
-    """Name, unique in a clip."""
+    name: str  # name, unique in a clip
     shapes: tuple[Shape, ...]
     positions: Array
     """Position [m], world frame, shape (T, 3), or (1, 3) if it never moves."""
-    rotations: Array
-    """Rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)."""
+    rotations: Array  # rotation, unit quaternions wxyz, shape (T, 4) or (1, 4)
 
     def __post_init__(self) -> None:
         check_kind(self.name, str, "the name of a prop")

@@ -15,12 +15,10 @@ IDENTITY.flags.writeable = False
 
 # Matrix of the product with a quaternion on the left: which component is at each place.
 _HAMILTON = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
-_HAMILTON_SIGNS = np.array(
-    [[1.0, -1.0, -1.0, -1.0], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]]
-)
+_SIGNS = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
 # Maps a quaternion to that matrix, row after row.
 _TO_PRODUCT = np.zeros((4, 16))
-_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _HAMILTON_SIGNS.ravel()
+_TO_PRODUCT[_HAMILTON.ravel(), np.arange(16)] = _SIGNS.ravel()
 # Likewise, the matrix of the cross product with the quaternion's vector part.
 _CROSS = np.array([[0, 3, 2], [3, 0, 1], [2, 1, 0]])
 _CROSS_SIGNS = np.array([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
@@ -62,10 +60,7 @@ def unit(v: Array) -> Array:
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the cross product of vectors (..., 3).
-
-    For a single frame, this is ten times as fast as ``np.cross``.
-    """
+    """Return the cross product (..., 3); for one frame ten times as fast as numpy's."""
     a, b = np.asarray(a), np.asarray(b)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
@@ -154,6 +149,17 @@ def wxyz_from_matrix(matrix: ArrayLike) -> Array:
     flat = np.asarray(matrix).reshape(-1, 3, 3)
     quats = Rotation.from_matrix(flat).as_quat(scalar_first=True)
     return np.asarray(quats.reshape(*np.shape(matrix)[:-2], 4))
+
+
+def wxyz_from_euler(angles: Array, axes: str) -> Array:
+    """Convert intrinsic Euler angles [rad], shape (..., A), to wxyz, shape (..., 4).
+
+    With axes ``ZYX``, the first angle turns about z, the second about the turned y.
+    """
+    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
+    for k, axis in enumerate(axes):
+        rotation = multiply(rotation, _about(1 + "XYZ".index(axis), angles[..., k]))
+    return rotation
 
 
 def continuous(q: ArrayLike) -> Array:

@@ -21,12 +21,9 @@ class Skeleton:
     long as arrays over joints; the root's row has no bone.
     """
 
-    name: str
-    """Short name used in files, such as ``kinect_v1``."""
-    joints: tuple[str, ...]
-    """Joint names in the sensor's own order."""
-    parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root."""
+    name: str  # short name used in files, such as ``kinect_v1``
+    joints: tuple[str, ...]  # joint names in the sensor's own order
+    parents: tuple[int, ...]  # index of each joint's parent, -1 for the root
 
     def __post_init__(self) -> None:
         joints, parents = self.joints, self.parents
@@ -96,10 +93,8 @@ class Skeleton:
     @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
         """Indices of each joint's children."""
-        return tuple(
-            tuple(c for c, p in enumerate(self.parents) if p == j)
-            for j in range(len(self))
-        )
+        pairs = list(enumerate(self.parents))
+        return tuple(tuple(c for c, p in pairs if p == j) for j in range(len(self)))
 
     def ancestors(self, joint: int) -> list[int]:
         """Return the indices of a joint and its ancestors, without the root."""
@@ -127,11 +122,8 @@ class Skeleton:
     def mirror(self) -> Indices:
         """Permutation that swaps the left and right joint of every pair."""
         swap = {"Left": "Right", "Right": "Left"}
-        partners = (
-            re.sub("(Left|Right)$", lambda side: swap[side[0]], joint)
-            for joint in self.joints
-        )
-        return np.array([self.index(partner) for partner in partners])
+        names = [re.sub("(Left|Right)$", lambda s: swap[s[0]], j) for j in self.joints]
+        return np.array([self.index(name) for name in names])
 
 
 def _skeleton(name: str, *hierarchy: str) -> Skeleton:

@@ -5,11 +5,9 @@ point in every grid cell that the surface of the flesh crosses, and one quad acr
 every grid edge that it cuts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +16,6 @@ from .arrays import Array, Flags, Indices, freeze
 from .flesh import Flesh, along_bone, flesh_of, girth_of
 from .rotations import unit
 from .skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from scipy import sparse
-
 
 INFLUENCES = 4
 """Largest number of segments that move one point: what every engine supports."""
@@ -33,9 +27,7 @@ _LEAST = 0.02  # smaller weights become 0
 
 # Corners of a cell, its edges along x, y and z as pairs of corners, and its faces.
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_EDGES = np.array(
-    [(a, a + step) for a in range(8) for step in (1, 2, 4) if not a & step]
-)
+_EDGES = np.array([(a, a + b) for a in range(8) for b in (1, 2, 4) if not a & b])
 _CUBE = np.arange(8).reshape(2, 2, 2)
 _FACES = np.array([_CUBE.take(k, axis).ravel() for axis in (2, 1, 0) for k in (0, 1)])
 _JUST_INSIDE = 1e-6  # m
@@ -147,7 +139,11 @@ def _weights(
     rows, nearest = np.arange(len(points)), np.argmin(distances, axis=1)
     beyond = distances - distances[rows, nearest][:, None]
     share = np.maximum(1.0 - beyond / (_SHARING * radii[rows, nearest][:, None]), 0.0)
-    share = np.where(_related(skeleton)[nearest], share * share, 0.0)
+    # Only segments that meet the nearest one, or a third that does, count.
+    parents = np.array(skeleton.parents)[:, None]
+    meets = (parents == parents.T) | (parents == np.arange(len(parents)))
+    meets |= meets.T
+    share = np.where((meets @ meets)[nearest], share * share, 0.0)
     share /= share.sum(axis=1, keepdims=True)
     mean = _averaging(quads, len(points))
     for _ in range(_AVERAGINGS):
@@ -157,8 +153,8 @@ def _weights(
     return order, chosen / chosen.sum(axis=1, keepdims=True)
 
 
-def _averaging(quads: Indices, count: int) -> sparse.csr_array:
-    """Return the matrix that averages each point with its neighbors."""
+def _averaging(quads: Indices, count: int) -> Any:
+    """Return the sparse matrix that averages each point with its neighbors."""
     from scipy import sparse  # not needed by commands that draw no skin
 
     a, b = np.concatenate([quads[:, [k, k - 1]] for k in range(4)]).T
@@ -167,15 +163,6 @@ def _averaging(quads: Indices, count: int) -> sparse.csr_array:
     ones = sparse.csr_array((np.ones(len(rows)), (rows, columns)), (count, count))
     ones.data[:] = 1.0  # count an edge once, however many faces share it
     return sparse.csr_array(ones.multiply(1.0 / ones.sum(axis=1)[:, None]))
-
-
-def _related(skeleton: Skeleton) -> Flags:
-    """Return True for segments that meet each other or a common third, shape (J, J)."""
-    parents = np.array(skeleton.parents)
-    own = np.arange(len(skeleton))
-    meets = (parents[:, None] == parents) | (parents[:, None] == own)
-    meets |= meets.T
-    return np.asarray(meets @ meets)
 
 
 def _margins(body: Body, points: Array, segments: Indices, weights: Array) -> Array:
@@ -192,8 +179,7 @@ def quads_of(values: Array) -> tuple[Array, Indices]:
     """Return points (P, 3) and quads (Q, 4) of the surface where a field is zero.
 
     The field (X, Y, Z) is negative inside and positive on the whole border of its grid.
-    Points are in grid units; quads are indices of points, counterclockwise if seen from
-    outside.
+    Points are in grid units, quads indices of points, counterclockwise from outside.
     """
     values, cells = _unambiguous(values)
     inside = values < 0.0

@@ -3,9 +3,8 @@
 from .body_size import Standardizer, measured_body
 from .bone_lengths import BoneLengths
 from .heading_frame import HeadingFrame, find_yaw
-from .neck import Neck
 from .orientation import fill_missing_joints, rotations_from_positions
-from .palms import Palms
+from .straight_chains import Neck, Palms
 
 __all__ = [
     "BoneLengths",

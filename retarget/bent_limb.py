@@ -1,12 +1,17 @@
-"""Inverse kinematics of a limb with two bones."""
+"""Inverse kinematics of limbs with two bones, and of hands moved elsewhere."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import unit
+from kinefilter.characters.rotations import between, multiply, rotate, unit
 
 _SHORT = 1e-9  # m
+_STRETCHED = 0.97  # of an arm's length: beyond, the trunk moves. A guess.
+_FARTHEST = 0.5  # m by which the shoulders move at most. A guess.
+_DEEPEST = 0.2  # m of it by which the hips move at most. A guess.
+_ROUNDS = 4  # until both arms reach
 
 
 def bent_limb(
@@ -38,8 +43,7 @@ def bent_limb(
 def shortage(leg: Array, reach: ArrayLike, most: float = np.inf) -> Array:
     """Return how far hips are too high above ankles [m], at most ``most``, shape (...).
 
-    ``leg`` (..., 3) points from the ankle to the hip [m], y up; ``reach`` is the length
-    of the straight leg [m].
+    ``leg`` (..., 3) is from ankle to hip [m], y up; a straight one is ``reach`` long.
     """
     level = np.sum(leg[..., [0, 2]] ** 2, axis=-1)
     height = np.sqrt(np.maximum(np.square(reach) - level, 0.0))
@@ -50,3 +54,75 @@ def rejection(bone: Array, line: Array) -> Array:
     """Return the part of vectors (..., 3) that is perpendicular to lines (..., 3)."""
     share = np.sum(bone * line, axis=-1) / np.maximum(np.sum(line**2, axis=-1), 1e-12)
     return np.asarray(bone - share[..., None] * line)
+
+
+class Reach:
+    """Moves the hands of postures of one body."""
+
+    def __init__(self, body: Body) -> None:
+        skeleton = self._skeleton = body.skeleton
+        arms = [skeleton.sides(part) for part in ("Shoulder", "Elbow", "Wrist")]
+        legs = [skeleton.sides(part) for part in ("Hip", "Knee", "Ankle")]
+        self._arms, self._legs = np.transpose(arms), np.transpose(legs)
+        self._beyond = [[j, *skeleton.descendants(j)] for j in self._arms[:, 2]]
+        below = [j for hip in skeleton.hips for j in skeleton.descendants(int(hip))]
+        self._upper = np.setdiff1d(np.arange(len(skeleton)), below)
+        self._trunk = np.setdiff1d(self._upper, [skeleton.root, *skeleton.hips])
+
+    def __call__(
+        self, positions: Array, rotations: Array, moves: Array
+    ) -> tuple[Array, Array]:
+        """Return positions (J, 3) and rotations, wxyz, (J, 4) with the hands moved.
+
+        ``moves`` are those of the left and the right hand [m], shape (2, 3). Where the
+        arms are too short, the trunk bends, and then the knees; the feet stay.
+        """
+        moved, turned = positions.copy(), rotations.copy()
+        wrists = positions[self._arms[:, 2]] + moves
+        self._bow(moved, self._lean(positions, wrists))
+        # The hips sink so that the feet can stay.
+        bones = np.linalg.norm(np.diff(positions[self._legs], axis=1), axis=-1)
+        legs = moved[self._legs[:, 0]] - positions[self._legs[:, 2]]
+        moved[self._upper, 1] -= shortage(legs, bones.sum(axis=-1)).max()
+        for leg in self._legs:
+            _bend(moved, positions, leg, positions[leg[2]])
+        for arm, hand, wrist in zip(self._arms, self._beyond, wrists, strict=True):
+            _bend(moved, positions, arm, wrist)
+            moved[hand] = positions[hand] + moved[arm[2]] - positions[arm[2]]
+        ends, starts = self._skeleton.segments, self._skeleton.segment_parents
+        before, after = (p[ends] - p[starts] for p in (positions, moved))
+        turned[ends] = multiply(between(before, after), rotations[ends])
+        return moved, turned
+
+    def _bow(self, moved: Array, lean: Array) -> None:
+        """Move the shoulders: the trunk turns about the hips, which do the rest."""
+        root = moved[self._skeleton.root].copy()
+        spine = moved[self._arms[:, 0]].mean(axis=0) - root
+        turn = between(spine, spine + lean)
+        moved[self._trunk] = root + rotate(turn, moved[self._trunk] - root)
+        moved[self._upper] += at_most(_DEEPEST, spine + lean - rotate(turn, spine))
+
+    def _lean(self, positions: Array, wrists: Array) -> Array:
+        """Return the move of the shoulders [m] that lets the arms reach, (3,)."""
+        lean, shoulders = np.zeros(3), positions[self._arms[:, 0]]
+        bones = np.diff(positions[self._arms], axis=1)
+        longest = _STRETCHED * np.linalg.norm(bones, axis=-1).sum(axis=-1)
+        for _ in range(_ROUNDS):
+            lines = wrists - shoulders - lean
+            far = np.maximum(np.linalg.norm(lines, axis=-1), 1e-9)
+            share = np.maximum(1.0 - longest / far, 0.0)
+            lean += (share[:, None] * lines).mean(axis=0)
+        return at_most(_FARTHEST, lean)
+
+
+def at_most(most: float, vector: Array) -> Array:
+    """Return a vector, shortened if it is longer than ``most``."""
+    return np.asarray(vector * (most / max(float(np.linalg.norm(vector)), most)))
+
+
+def _bend(moved: Array, positions: Array, limb: Array, goal: Array) -> None:
+    """Put the end of a limb at its goal; its middle bends as before."""
+    start, middle, end = positions[limb]
+    lengths = np.linalg.norm([middle - start, end - middle], axis=-1)
+    toward = middle - 0.5 * (start + end)
+    moved[limb[1]], moved[limb[2]] = bent_limb(moved[limb[0]], goal, toward, lengths)

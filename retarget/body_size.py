@@ -8,18 +8,12 @@ it was measured. A chain of bones of fixed length would not.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import (
-    STANDARD_HEIGHT,
-    STATURES,
-    Body,
-    InputError,
-    Skeleton,
-    standard_body,
-    unit_hint,
-)
+from kinefilter.characters import Body, InputError, Skeleton, standard_body
+from kinefilter.characters.anthropometry import STANDARD_HEIGHT, STATURES, unit_hint
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import between, matrix_from_wxyz
 
@@ -53,8 +47,7 @@ def measured_body(
     InputError says if they are not human.
     """
     average = standard_body(skeleton).lengths
-    known = np.where(lengths > 0, lengths, np.nan)
-    known = _mean_of_sides(known, known[skeleton.mirror])
+    known = _mean_of_sides(skeleton, np.where(lengths > 0, lengths, np.nan))
     legs = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
     stack = [*legs, *skeleton.ancestors(skeleton.index("Head"))]
     arms = [skeleton.index("ElbowLeft"), skeleton.index("WristLeft")]
@@ -75,15 +68,13 @@ def measured_body(
     factor = np.where(first, _WORST_SHOULDER, _WORST_LIMB)
     factor = np.where(trunk, _WORST_TRUNK, factor)
     valid = (lengths < factor * body.lengths) & (lengths * factor > body.lengths)
-    known = np.where(valid, lengths, np.nan)
-    known = _mean_of_sides(known, known[skeleton.mirror])
+    known = _mean_of_sides(skeleton, np.where(valid, lengths, np.nan))
     hips = skeleton.hips
     known[hips] = np.where(known * _WORST_LIMB < body.lengths, np.nan, known)[hips]
     lengths = np.where(np.isnan(known), body.lengths, known)
     if directions is None:
         return replace(body, lengths=lengths)
-    mirrored = directions[skeleton.mirror] * np.array([-1.0, 1.0, 1.0])
-    both = _mean_of_sides(directions, mirrored)
+    both = _mean_of_sides(skeleton, directions, np.array([-1.0, 1.0, 1.0]))
     norms = np.linalg.norm(both, axis=1, keepdims=True)
     ahead = first & (np.abs(both[:, 2]) > np.abs(both[:, 0]))
     plausible = (norms > 0.5) & ~ahead[:, None]
@@ -91,8 +82,9 @@ def measured_body(
     return replace(body, lengths=lengths, directions=turned)
 
 
-def _mean_of_sides(values: Array, mirrored: Array) -> Array:
-    """Return the mean of two arrays, ignoring NaN."""
+def _mean_of_sides(skeleton: Skeleton, values: Array, signs: Any = 1.0) -> Array:
+    """Return the mean of left and right, mirrored by signs, ignoring NaN."""
+    mirrored = values[skeleton.mirror] * signs
     both = np.where(np.isnan(mirrored), values, (values + mirrored) / 2.0)
     return np.where(np.isnan(values), mirrored, both)
 

@@ -69,8 +69,7 @@ def looped(clip: Clip) -> Clip:
         lengths = clip.body.lengths[leg]
         moved = (np.abs(goal - posed[:, leg[2:]]) > _MOVED).any(axis=(1, 2))
         # A raised heel stays a foot's length from the planted toes.
-        sole = goal[:, 0] - goal[:, 1]
-        raised = goal[:, 1] + lengths[3] * unit(sole)
+        raised = goal[:, 1] + lengths[3] * unit(goal[:, 0] - goal[:, 1])
         goal[:, 0] = np.where((moved & ~heel)[:, None], raised, goal[:, 0])
         reach = float(lengths[1:3].sum())
         hip = posed[:, leg[0]] - goal[:, 0]
@@ -226,10 +225,7 @@ def _turns(vectors: Array) -> Array:
 
 
 def _joined(time: Array, moves: Array, planted: Flags) -> Array:
-    """Return moves (T, 3) [m] that are interpolated between contacts.
-
-    The first and last frame do not move unless the part is planted there.
-    """
+    """Return moves [m] (T, 3) between contacts, 0 at both ends unless planted there."""
     fixed = planted.copy()
     fixed[[0, -1]] = True
     moves = np.where(planted[:, None], moves, 0.0)

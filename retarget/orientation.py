@@ -6,17 +6,10 @@ import numpy as np
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.rotations import (
-    IDENTITY,
-    about_x,
-    between,
-    inverse,
-    multiply,
-    rotate,
-)
+from kinefilter.characters.rotations import about_x, between, inverse, multiply, rotate
 
 _NO_PLANE = 1e-9  # m^2
-_X = np.array([1.0, 0.0, 0.0])
+_X, _UNTURNED = np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def rotations_from_positions(
@@ -34,7 +27,7 @@ def rotations_from_positions(
     rotations = np.empty((*positions.shape[:-1], 4))
     pelvis, plane = _pelvis_frame(positions, skeleton)
     pelvis = multiply(pelvis, _from_rest_pelvis(body))
-    rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, IDENTITY)
+    rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, _UNTURNED)
     if prior is not None:
         bones = positions[..., ends, :] - positions[..., starts, :]
         rotations[..., ends, :] = _aligned(prior[..., ends, :], rest[ends], bones)

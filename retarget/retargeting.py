@@ -7,7 +7,6 @@ Trunk, shoulders and feet have a different shape on every skeleton, so all rest 
 count as upright and flat there, and only headings differ.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ from kinefilter.characters.rotations import (
 
 from .bent_limb import bent_limb, rejection, shortage
 from .heading_frame import HeadingFrame, floor_frame
-from .rig_map import BEYOND, SIDES
+from .rig_map import NEXT, SIDES
 from .stance import holding_moves, near_stance, smooth_step
 from .target_rig import TargetRig, Twist
 
@@ -246,17 +245,11 @@ class _Motion:
 
 
 def angle_about(axis: Array, rotations: Array) -> Array:
-    """Return the twist [rad] of rotations, wxyz (..., 4), about a unit vector (3,).
-
-    It lies between -pi and pi; the rest of the rotation is about a perpendicular axis.
-    """
-    half = np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0])
-    return wrapped(2.0 * half)
+    """Return the twist [rad] of rotations (..., 4) about a unit vector, within pi."""
+    return wrapped(2.0 * np.arctan2(rotations[..., 1:] @ axis, rotations[..., 0]))
 
 
-def twisted(
-    twists: Mapping[int, Twist], turns: Mapping[int, Array]
-) -> dict[int, Array]:
+def twisted(twists: dict[int, Twist], turns: dict[int, Array]) -> dict[int, Array]:
     """Return the rotation of each twist bone, given those of the other joints.
 
     Both are world rotations from the rest pose, wxyz, (T, 4), by index of the joint.
@@ -277,8 +270,7 @@ def segment_of(skeleton: Skeleton, part: str) -> int:
         return skeleton.index(f"{_SEGMENTS[limb]}{side.capitalize()}")
     head, chest = skeleton.index("Head"), skeleton.girdle
     neck = head if skeleton.parents[head] == chest else skeleton.parents[head]
-    trunk = {"pelvis": skeleton.root, "spine": chest, "neck": neck, "head": head}
-    return trunk[part]
+    return {"pelvis": skeleton.root, "spine": chest, "neck": neck, "head": head}[part]
 
 
 def turned(motion: Motion, rig: TargetRig) -> dict[int, Array]:
@@ -312,8 +304,8 @@ def _difference(rig: TargetRig, part: str, body: Body, facing: Array) -> Array:
     if limb == "hand":
         return _difference(rig, f"{side} lower arm", body, facing)
     ours = body.rest_offsets[segment_of(body.skeleton, part)]
-    if part in BEYOND:
-        theirs = rotate(facing, rig.bone(part, BEYOND[part]))
+    if part in NEXT:
+        theirs = rotate(facing, rig.bone(part, NEXT[part]))
         return multiply(between(theirs, ours), facing)
     if limb in ("foot", "toes") and f"{side} toes" in rig.parts:
         theirs = rotate(facing, rig.bone(f"{side} foot", f"{side} toes"))

@@ -50,20 +50,12 @@ RIGS = tuple(sorted(path.stem for path in (_HERE / "rigs").glob("*.toml")))
 """Names of the built-in maps."""
 
 SIDES = ("left", "right")
-_LIMBS = {  # part: its parent, None for the pelvis
-    "clavicle": None,
-    "upper arm": None,
-    "lower arm": "upper arm",
-    "hand": "lower arm",
-    "thigh": None,
-    "shin": "thigh",
-    "foot": "shin",
-    "toes": "foot",
-}
+_ARM, _LEG = ("upper arm", "lower arm", "hand"), ("thigh", "shin", "foot", "toes")
 CHAINS = {
-    f"{side} {part}": f"{side} {above}" if above else "pelvis"
+    f"{side} {part}": f"{side} {limb[k - 1]}" if k else "pelvis"
     for side in SIDES
-    for part, above in _LIMBS.items()
+    for limb in (("clavicle",), _ARM, _LEG)
+    for k, part in enumerate(limb)
 } | {"spine": "pelvis", "neck": "pelvis", "head": "pelvis"}
 """Parent of each part of the body."""
 PARTS = ("pelvis", *CHAINS)  # parts of the body that turn bones
@@ -73,7 +65,7 @@ _SEVERAL = ("spine", "neck")
 _FIELDS = {"parent", "turned_by", "offset", "axes", "twist_of", "at", "follows"}
 _OF_TWISTS = {"parent", "twist_of", "at"}
 _OF_IK_BONES = {"parent", "follows"}
-BEYOND = {
+NEXT = {
     above: part
     for part, above in CHAINS.items()
     if above != "pelvis" and not part.endswith("toes")
@@ -101,7 +93,7 @@ Axes = tuple[tuple[str, str], tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class MapBone:
+class Bone:
     """A bone of another skeleton, which starts at the joint of its name.
 
     The other fields are those of the file, None where a bone has none; ``part`` is its
@@ -124,11 +116,11 @@ class RigMap:
 
     name: str
     prefix: str  # prefix of all names, which some files omit
-    bones: tuple[MapBone, ...]
+    bones: tuple[Bone, ...]
     axes_in_bvh: bool = False
     """True if motion in BVH, which has no rest rotations, is in the bones' axes."""
 
-    def of(self, part: str) -> list[MapBone]:
+    def of(self, part: str) -> list[Bone]:
         """Return the bones that a part turns, parents before children."""
         return [bone for bone in self.bones if bone.part == part]
 
@@ -151,22 +143,18 @@ def _embedded(folder: str, name: str) -> dict[str, Any]:
 
 def rig_map_of(table: dict[str, Any], source: str) -> RigMap:
     """Return the map in the table of a TOML file, or raise an InputError."""
-    rows, prefix = table.get("bones"), table.get("prefix", "")
-    in_bvh = table.get("axes_in_bvh", False)
+    rows: Any = table.get("bones")
+    prefix, in_bvh = table.get("prefix", ""), table.get("axes_in_bvh", False)
+    known, wrong = ("prefix", "axes", "axes_in_bvh", "bones"), ""
     if not isinstance(rows, dict) or not isinstance(prefix, str):
-        raise InputError(
-            f"{source}: expected a table [bones] with a row per joint and, optionally, "
-            "a text 'prefix'"
-        )
-    known = ("prefix", "axes", "axes_in_bvh", "bones")
-    if unknown := sorted(set(table) - set(known)):
-        raise InputError(
-            f"{source}: unknown {unknown[0]!r}; expected {', '.join(known)}"
-        )
-    if not isinstance(in_bvh, bool):
-        raise InputError(
-            f"{source}: axes_in_bvh is {shown(in_bvh)}, expected true or false"
-        )
+        wrong = "expected a table [bones] with a row per joint and, optionally, a text "
+        wrong += "'prefix'"
+    elif unknown := sorted(set(table) - set(known)):
+        wrong = f"unknown {unknown[0]!r}; expected {', '.join(known)}"
+    elif not isinstance(in_bvh, bool):
+        wrong = f"axes_in_bvh is {shown(in_bvh)}, expected true or false"
+    if wrong:
+        raise InputError(f"{source}: {wrong}")
     axes = _axes(table.get("axes"), source)
     bones = tuple(_bone(name, row, axes, source) for name, row in rows.items())
     _check(bones, source)
@@ -185,73 +173,58 @@ def _axes(words: Any, where: str) -> Axes | None:
     return (match[1], match[2]), (match[3], match[4])
 
 
-def _bone(name: str, row: Any, axes: Axes | None, source: str) -> MapBone:
-    where = f"{source}: bone {shown(name)}"
+def _bone(name: str, row: Any, axes: Axes | None, source: str) -> Bone:
+    where, wrong = f"{source}: bone {shown(name)}", ""
     if not isinstance(row, dict) or not _FIELDS.issuperset(row):
         raise InputError(f"{where}: expected fields {', '.join(sorted(_FIELDS))}")
     part, parent, offset = (row.get(k) for k in ("turned_by", "parent", "offset"))
+    twist_of, at, follows = (row.get(k) for k in ("twist_of", "at", "follows"))
     if part is not None and part not in PARTS:
-        raise InputError(
-            f"{where}: unknown turned_by {shown(part)}; expected one of "
-            f"{', '.join(PARTS)}"
-        )
-    if parent is not None and not isinstance(parent, str):
-        raise InputError(f"{where}: parent is {shown(parent)}, expected a bone's name")
-    if "twist_of" in row or "at" in row:
-        return _twist_bone(name, row, where)
-    if "follows" in row:
-        if not isinstance(row["follows"], str) or set(row) != _OF_IK_BONES:
-            raise InputError(
-                f"{where}: an IK bone has only a parent, and follows, a bone's name"
-            )
-        return MapBone(name, parent, None, None, follows=row["follows"])
-    axes = _axes(row.get("axes"), where) or axes
-    if offset is not None:
+        wrong = f"unknown turned_by {shown(part)}; expected one of {', '.join(PARTS)}"
+    elif parent is not None and not isinstance(parent, str):
+        wrong = f"parent is {shown(parent)}, expected a bone's name"
+    elif "twist_of" in row or "at" in row:
+        known = isinstance(twist_of, str) and type(at) in (int, float)
+        if not known or set(row) != _OF_TWISTS or not 0.0 <= (at or 0.0) <= 1.0:
+            wrong = "a twist bone has only a parent, twist_of, a part of the body, and "
+            wrong += "at, a number from 0 to 1 along the parent's segment"
+        axes = None
+    elif "follows" in row:
+        if not isinstance(follows, str) or set(row) != _OF_IK_BONES:
+            wrong = "an IK bone has only a parent, and follows, a bone's name"
+        axes = None
+    else:
+        axes = _axes(row.get("axes"), where) or axes
         numbers = offset if isinstance(offset, list) else []
         valid = [type(n) in (int, float) and abs(n) < 100.0 for n in numbers]
-        if valid != [True] * 3:
-            raise InputError(
-                f"{where}: offset is {shown(offset)}, expected three shares of stature"
-            )
-        x, y, z = map(float, numbers)
+        if offset is not None and valid != [True] * 3:
+            wrong = f"offset is {shown(offset)}, expected three shares of stature"
+    if wrong:
+        raise InputError(f"{where}: {wrong}")
+    if offset is not None:
+        x, y, z = map(float, offset)
         offset = (x, y, z)
-    return MapBone(name, parent, part, offset, axes)
+    at = float(at or 0.0)
+    return Bone(name, parent, part, offset, axes, twist_of, at, follows)
 
 
-def _twist_bone(name: str, row: dict[str, Any], where: str) -> MapBone:
-    of, at, parent = (row.get(k) for k in ("twist_of", "at", "parent"))
-    known = isinstance(of, str) and isinstance(parent, str) and set(row) == _OF_TWISTS
-    if not known or type(at) not in (int, float) or not 0.0 <= (at or 0.0) <= 1.0:
-        raise InputError(
-            f"{where}: a twist bone has only a parent, twist_of, a part of the body, "
-            "and at, a number from 0 to 1 along the parent's segment"
-        )
-    return MapBone(name, parent, None, None, None, of, float(at or 0.0))
-
-
-def _check(bones: tuple[MapBone, ...], source: str) -> None:
-    names: set[str] = set()
+def _check(bones: tuple[Bone, ...], source: str) -> None:
+    part_of = dict[str | None, str | None]()
     for bone in bones:
-        if bone.parent is not None and bone.parent not in names:
-            raise InputError(
-                f"{source}: bone {shown(bone.name)}: its parent {shown(bone.parent)} "
-                "is not listed before it; list every parent before its children"
-            )
-        if bone.follows is not None and bone.follows not in names:
-            raise InputError(
-                f"{source}: bone {shown(bone.name)}: follows {shown(bone.follows)}, "
-                "which is not listed before it; list bones before those that follow"
-            )
-        names.add(bone.name)
-        if bone.twist_of is not None:
-            (limb,) = [b.part for b in bones if b.name == bone.parent]
-            known = [limb, BEYOND[limb]] if limb in BEYOND else []
-            if bone.twist_of not in known:
-                raise InputError(
-                    f"{source}: bone {shown(bone.name)}: twist_of is "
-                    f"{shown(bone.twist_of)}, expected the part that turns its parent, "
-                    f"one of {', '.join(BEYOND)}, or the next one"
-                )
+        limb, wrong = part_of.get(bone.parent) or "", ""
+        known = (limb, NEXT[limb]) if limb in NEXT else ()
+        if bone.parent is not None and bone.parent not in part_of:
+            wrong = f"its parent {shown(bone.parent)} is not listed before it; list "
+            wrong += "every parent before its children"
+        elif bone.follows is not None and bone.follows not in part_of:
+            wrong = f"follows {shown(bone.follows)}, which is not listed before it; "
+            wrong += "list bones before those that follow"
+        elif bone.twist_of is not None and bone.twist_of not in known:
+            wrong = f"twist_of is {shown(bone.twist_of)}, expected the part that turns "
+            wrong += f"its parent, one of {', '.join(NEXT)}, or the next one"
+        if wrong:
+            raise InputError(f"{source}: bone {shown(bone.name)}: {wrong}")
+        part_of[bone.name] = bone.part
     for part in PARTS:
         count = sum(bone.part == part for bone in bones)
         if count == 0 and part not in OPTIONAL:

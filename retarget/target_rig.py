@@ -11,17 +11,7 @@ from kinefilter.characters import Body, InputError
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, unit, wxyz_from_matrix
 
-from .rig_map import (
-    BEYOND,
-    CHAINS,
-    OPTIONAL,
-    PARTS,
-    SIDES,
-    WORDS,
-    MapBone,
-    RigMap,
-    listed,
-)
+from .rig_map import CHAINS, NEXT, OPTIONAL, PARTS, SIDES, WORDS, Bone, RigMap, listed
 
 _ON_FLOOR = 0.1
 """Largest height of the lowest joint above y = 0, in lengths of a leg, at which y = 0
@@ -106,8 +96,8 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     """Return the skeleton that a map describes, in a person's size.
 
     Lengths of limbs, widths of hips and shoulders and the distance between them are the
-    person's; the rest scales with the stature. The soles are at y = 0. An InputError
-    says if the map lacks offsets.
+    person's; the rest scales with the stature. The soles are at y = 0. Raises an
+    InputError if the map lacks offsets.
     """
     bones = [b for b in rig_map.bones if b.offset or b.twist_of or b.follows]
     names = tuple(bone.name for bone in bones)
@@ -128,7 +118,7 @@ def built_rig(rig_map: RigMap, body: Body) -> TargetRig:
     offsets = np.array([_offset(*two, body) for two in zip(bones, above, strict=True)])
     for n, bone in enumerate(bones):
         if bone.twist_of:
-            end = BEYOND[bones[parents[n]].part or ""]
+            end = NEXT[bones[parents[n]].part or ""]
             offsets[n] = bone.at * offsets[[b.part for b in bones].index(end)]
     positions = chained(offsets, parents)
     rest = RestPose(names, tuple(parents), positions, source=rig_map.name)
@@ -170,9 +160,7 @@ def _trunk_scale(rig: TargetRig, body: Body) -> Array:
     return np.where((scale > 0.5) & (scale < 2.0), scale, 1.0)
 
 
-def _axes(
-    bones: list[MapBone], rest: RestPose, followed: dict[int, int]
-) -> Array | None:
+def _axes(bones: list[Bone], rest: RestPose, followed: dict[int, int]) -> Array | None:
     """Return the world rotation of each bone's axes, wxyz, (N, 4); None: identity."""
     if not any(bone.axes for bone in bones):
         return None
@@ -250,7 +238,7 @@ def _twists(rig_map: RigMap, rig: TargetRig) -> dict[int, Twist]:
         above = parents[joint]
         while above not in turned:
             above = parents[above]
-        axis = unit(rig.bone(limb, BEYOND[limb]))
+        axis = unit(rig.bone(limb, NEXT[limb]))
         share = bone.at - 1.0 if bone.twist_of == limb else bone.at
         twists[names.index(name)] = Twist(rig.joint(limb), joint, above, axis, share)
     return twists
@@ -273,7 +261,7 @@ def _lowest(rig: TargetRig, body: Body) -> tuple[list[int], float]:
     return ankles, float(body.rest_positions[body.skeleton.index("AnkleLeft"), 1])
 
 
-def _offset(bone: MapBone, parent: MapBone, body: Body) -> Array:
+def _offset(bone: Bone, parent: Bone, body: Body) -> Array:
     """Return a bone's offset from its parent [m], shape (3,)."""
     share, skeleton = np.array(bone.offset or (0.0, 0.0, 0.0)), body.skeleton
     segment = {"lower arm": "Elbow", "hand": "Wrist", "shin": "Knee", "foot": "Ankle"}

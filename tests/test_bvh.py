@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
+from kinefilter.characters.rotations import wxyz_from_euler
 from kinefilter.pipeline.formats import Bvh, read_bvh, write_clip
-from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
+from kinefilter.pipeline.formats.bvh import continuous_euler
 
 MakeClip = Callable[..., Clip]
 SMALL = """HIERARCHY

@@ -24,7 +24,13 @@ from kinefilter.characters import (
     positions_from_rotations,
     standard_body,
 )
-from kinefilter.characters.rotations import inverse, multiply, rotate, rotation_vector
+from kinefilter.characters.rotations import (
+    inverse,
+    multiply,
+    rotate,
+    rotation_vector,
+    wxyz_from_euler,
+)
 from kinefilter.pipeline.formats import (
     Export,
     read_bvh,
@@ -32,7 +38,7 @@ from kinefilter.pipeline.formats import (
     read_take,
     write_clip,
 )
-from kinefilter.pipeline.formats.bvh import continuous_euler, wxyz_from_euler
+from kinefilter.pipeline.formats.bvh import continuous_euler
 from kinefilter.pipeline.formats.export import RotationOrder, in_strict_t, resampled
 from kinefilter.pipeline.formats.rig import rig_of
 from kinefilter.scenes.library import random_body

@@ -14,9 +14,9 @@ import numpy as np
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
+from kinefilter.characters.rotations import inverse, multiply, rotate, wxyz_from_euler
 
-from .bvh import MOST_CELLS, wxyz_from_euler
+from .bvh import MOST_CELLS
 from .files import AnyPath, open_text
 from .recording import Mocap
 from .rows import LineReader
@@ -32,7 +32,7 @@ _FREEDOMS = ("rx", "ry", "rz", "tx", "ty", "tz")
 class _Bone:
     direction: Array = field(default_factory=lambda: np.zeros(3))
     length: float = 0.0
-    axis: Array = field(default_factory=lambda: IDENTITY)
+    axis: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     freedoms: tuple[str, ...] = ()
     parent: str | None = None
 

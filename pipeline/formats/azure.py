@@ -3,9 +3,8 @@
 Layout (microsoft/Azure-Kinect-Samples, body-tracking-samples/offline_processor):
 ``joint_names``, ``bone_list`` and ``frames``, each with ``timestamp_usec`` and
 ``bodies``, each with ``body_id``, ``joint_positions`` (32 times x, y, z in mm) and
-``joint_orientations``. Programs derived from the sample add the joints' confidence
-levels (k4abt_joint_confidence_level_t) to a body: 32 numbers under any name that
-contains ``confidence``.
+``joint_orientations``. Programs derived from the sample add confidence levels
+(k4abt_joint_confidence_level_t) to a body: 32 numbers, named ``...confidence...``.
 
 The 32 joints are converted to the 25 of Kinect v2, on which everything else is based:
 bodies, database, reliability, failures. Eyes, ears and nose show where the face looks.
@@ -117,10 +116,7 @@ def read_azure(source: str) -> Recording:
 
 
 def _face(places: Array, level: Array) -> Array:
-    """Return a unit vector (3,) from the ears to nose and eyes, NaN where unsure.
-
-    ``places`` are the 32 joints [m], shape (32, 3), ``level`` their confidence.
-    """
+    """Return the unit vector (3,) from the ears to nose and eyes, NaN where unsure."""
     ahead: Array = places[_FRONT].mean(axis=0) - places[_BACK].mean(axis=0)
     length = np.linalg.norm(ahead)
     seen = level[_FRONT + _BACK].min() >= State.TRACKED

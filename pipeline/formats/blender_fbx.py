@@ -7,8 +7,6 @@ so that each is one of Blender's frames; the FBX gets RATE frames/s. When standa
 ends, the caller is gone: the folder is removed.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

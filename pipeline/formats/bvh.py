@@ -1,7 +1,4 @@
-"""BVH files, which every animation tool reads: read and written.
-
-Any skeleton and channel order can be read.
-"""
+"""BVH files, read and written; any skeleton and order of channels can be read."""
 
 import os
 import warnings
@@ -14,20 +11,11 @@ import numpy as np
 
 from kinefilter.characters import Clip, InputError
 from kinefilter.characters.arrays import Array, chunks, freeze
-from kinefilter.characters.rotations import (
-    IDENTITY,
-    about_x,
-    about_y,
-    about_z,
-    multiply,
-    rotate,
-    wrapped,
-)
+from kinefilter.characters.rotations import multiply, rotate, wrapped, wxyz_from_euler
 from kinefilter.retarget.target_rig import chained
 
 from .export import Export
 from .files import AnyPath, new_text, open_text
-from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion
 from .rows import LARGEST_NUMBER, LineReader, RowReader
 
@@ -116,18 +104,6 @@ class Bvh:
         channels = enumerate(self.channels[joint], sum(map(len, self.channels[:joint])))
         columns = {k: c[0] for k, c in channels if c[1:] == kind}
         return "".join(columns.values()), self.motion[:, list(columns)]
-
-
-def wxyz_from_euler(angles: Array, axes: str) -> Array:
-    """Convert intrinsic Euler angles [rad], shape (..., A), to wxyz, shape (..., 4).
-
-    With axes ``ZYX``, the first angle turns about z, the second about the turned y.
-    """
-    about = {"X": about_x, "Y": about_y, "Z": about_z}
-    rotation = np.tile(IDENTITY, (*np.shape(angles)[:-1], 1))
-    for k, axis in enumerate(axes):
-        rotation = multiply(rotation, about[axis](angles[..., k]))
-    return rotation
 
 
 def read_bvh(path: AnyPath) -> Bvh:
@@ -288,7 +264,7 @@ def write_bvh(clip: Clip, moved: RigMotion, path: Path, export: Export) -> None:
     with new_text(path) as file:
         file.writelines(hierarchy)
         file.write(f"MOTION\nFrames: {len(clip)}\nFrame Time: {frame_time!r}\n")
-        for span in chunks(len(motion), FRAMES_AT_ONCE):
+        for span in chunks(len(motion)):
             numbers = motion[span]
             file.write(row * len(numbers) % tuple(numbers.ravel().tolist()))
 
@@ -303,8 +279,7 @@ def continuous_euler(rotations: Array, axes: str) -> Array:
 
     Two triples, and all their full turns, give the same rotation; each frame gets the
     one nearest to the frame before, so the angles are unbounded. In gimbal lock, the
-    third angle keeps its last value, initially 0. ``axes`` is the order of the axes,
-    such as ``ZYX``.
+    third angle keeps its last value, initially 0. ``axes`` is their order: ``ZYX``.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 

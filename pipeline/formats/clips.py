@@ -7,16 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V2,
-    Body,
-    Clip,
-    InputError,
-    Motion,
-    Take,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V2, Body, InputError, standard_body
 from kinefilter.characters.arrays import Array, check_kind
+from kinefilter.characters.motion import Clip, Motion, Take
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply, rotate
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget import fill_missing_joints, rotations_from_positions
@@ -101,15 +94,11 @@ def write_clip(clip: Clip, path: AnyPath, export: Export | None = None) -> None:
 
 
 def write_people(clips: Sequence[Clip], path: AnyPath, export: Export) -> None:
-    """Write clips of people who were recorded together as one GLB.
-
-    Raises InputError as ``write_clip``.
-    """
+    """Write clips of people recorded together as one GLB; raises as ``write_clip``."""
     check_writable(path, export)
     paces = [with_frame_rate(export, ".glb", clip.time, clip.source) for clip in clips]
     clips = [shaped(clip, own) for clip, own in zip(clips, paces, strict=True)]
-    motions = map(_rig_motion, clips, paces)
-    write_glb([*zip(clips, motions, strict=True)], path, export)
+    write_glb([*zip(clips, map(_rig_motion, clips, paces), strict=True)], path, export)
 
 
 def _rig_motion(clip: Clip, export: Export) -> RigMotion:
@@ -134,8 +123,7 @@ def read_clip(path: AnyPath) -> Clip:
     all but the name of the take, in whole percent and millimeters. BVH has positions
     and rotations, CSV only positions: the body is measured from them, contacts and
     props are unknown, and every joint counts as reliable; both may be gzipped. Raises
-    InputError if the file is missing, damaged, of another kind or skeleton, or a raw
-    take.
+    InputError if the file is missing, damaged, of another skeleton, or no clip.
     """
     file = check_file(path)
     name = file.name.lower().removesuffix(".gz")

@@ -21,17 +21,8 @@ import numpy as np
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, State
 
-from .recording import (
-    MOST_FRAMES,
-    STATES,
-    Recording,
-    Sighting,
-    check_length,
-    open_rows,
-    takes_of_people,
-    takes_of_rows,
-)
-from .rows import LineReader, RowReader
+from .recording import Recording, Sighting, check_length, takes_of_people, takes_of_rows
+from .rows import MOST_FRAMES, STATES, LineReader, RowReader, open_rows
 
 _NTU_FPS, _MSR_FPS = 30.0, 15.0
 _PER_BODY, _PER_JOINT = 10, 12  # values in a line of NTU

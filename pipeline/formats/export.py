@@ -7,26 +7,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinefilter.characters import (
-    CONTACTS,
-    Clip,
-    InputError,
-    Origin,
-    Prop,
-    Skeleton,
-    Term,
-    standard_body,
-)
+from kinefilter.characters import InputError, Prop, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
-from kinefilter.characters.motion import frames_per_second
+from kinefilter.characters.motion import CONTACTS, Clip, Origin, Term, frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
 from kinefilter.retarget.heading_frame import floor_frame
 from kinefilter.retarget.looping import looped
 
-from .recording import FRAMES_AT_ONCE, MOST_FRAMES
 from .rig import RootMotion
+from .rows import MOST_FRAMES
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 PER_FRAME = {
@@ -211,10 +202,7 @@ def whole_rate(rate: float) -> float:
 
 
 def span_of(export: Export, time: Array, source: str) -> slice:
-    """Return the frames between ``begin`` and ``end``, given time stamps [s] (T,).
-
-    Raises InputError if there are none.
-    """
+    """Return an export's span of times [s] (T,) as frames, or raise InputError."""
     since, duration = time - time[0], float(time[-1] - time[0])
     begin, end = export.begin or 0.0, duration if export.end is None else export.end
     slack = 1.0 / frames_per_second(time)
@@ -283,7 +271,7 @@ def resampled(clip: Clip, fps: float) -> Clip:
     def arc(rotations: Array) -> Array:
         part = share.reshape(-1, *[1] * (rotations.ndim - 2))
         turned = np.empty((count, *rotations.shape[1:]))
-        for some in chunks(count, FRAMES_AT_ONCE):
+        for some in chunks(count):
             start, end = rotations[before[some]], rotations[after[some]]
             turned[some] = slerp(start, end, part[some])
         return turned

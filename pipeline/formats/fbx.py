@@ -19,8 +19,7 @@ from .rig import RigMotion
 
 _KEYS = 24  # keyframes/s: Blender's default rate, so that each is one of its frames
 _SECONDS, _PER_FRAME = 120.0, 0.05
-"""Time limit [s] of Blender, for any clip and for each frame in addition: forty times
-what it needs. A guess."""
+"""Time limit [s] of Blender, and more a frame: forty times what it needs. A guess."""
 _SCRIPT = Path(__file__).with_name("blender_fbx.py")
 
 

@@ -11,7 +11,7 @@ import tomllib
 import uuid
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -173,7 +173,7 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
     Raises InputError, also while the lines are read, if the file is missing,
     unreadable, not UTF-8 text or too long, or has a line without end.
     """
-    with _readable(path) as (stream, most):
+    with _opened(path) as (stream, most):
         # utf-8-sig: spreadsheets put a byte-order mark in front.
         text = io.TextIOWrapper(stream, encoding="utf-8-sig")
 
@@ -200,19 +200,19 @@ def open_text(path: AnyPath) -> Iterator[Iterator[str]]:
 
 def beginning(path: AnyPath, most: int = 100) -> str:
     """Return the first characters of a text file, without leading blanks."""
-    with _readable(path) as (stream, _):
+    with _opened(path) as (stream, _):
         return stream.read(_BEGINNING).decode("utf-8-sig", "ignore").lstrip()[:most]
 
 
 def read_limited(path: AnyPath, most: int) -> str:
     """Read UTF-8 text, gzipped or not; raises InputError above ``most`` bytes."""
-    with _readable(path, most) as (stream, most):
+    with _opened(path, most) as (stream, most):
         return _all(stream, path, most).decode("utf-8-sig")
 
 
 def read_bytes(path: AnyPath, most: int) -> bytes:
     """Read a file, gzipped or not; raises InputError above ``most`` bytes."""
-    with _readable(path, most) as (stream, most):
+    with _opened(path, most) as (stream, most):
         return _all(stream, path, most)
 
 
@@ -228,9 +228,7 @@ def _too_long(path: AnyPath, most: int) -> InputError:
 
 
 @contextmanager
-def _readable(
-    path: AnyPath, most: int = _LARGEST_TEXT
-) -> Iterator[tuple[_Stream, int]]:
+def _opened(path: AnyPath, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream, int]]:
     """Yield a file unzipped, and its size limit; errors in it become InputErrors."""
     path = check_file(path)
     try:
@@ -253,9 +251,7 @@ def _readable(
         raise InputError(f"{path}: cannot be read ({reason})") from error
 
 
-def read_json(
-    path: AnyPath, most: int, hook: Callable[[Any], Any] | None = None
-) -> Any:
+def read_json(path: AnyPath, most: int, hook: Any = None) -> Any:
     """Read a JSON file, whole numbers as floats; ``hook`` is json's ``object_hook``.
 
     Raises InputError if it is malformed or longer than ``most`` bytes.
@@ -303,10 +299,7 @@ def read_toml(path: AnyPath, expected: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, name: str, expected: str) -> dict[str, Any]:
-    """Parse TOML from the place ``name``; raises InputError if it is malformed.
-
-    ``expected`` tells the user what to write instead.
-    """
+    """Parse TOML from the place ``name``; an InputError tells what is ``expected``."""
     try:
         return tomllib.loads(text)
     # Also errors from numbers of thousands of digits or thousands of brackets.

@@ -25,7 +25,6 @@ from kinefilter.characters.skin import skin_of
 from .export import GAMMA, LENGTHS, PER_CLIP, PER_FRAME, SKIN_COLOR, Export, name_tables
 from .files import AnyPath, atomic_path
 from .keys import Curve, sparse_curves
-from .recording import FRAMES_AT_ONCE
 from .rig import Rig, RigMotion
 
 MAGIC, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -180,7 +179,7 @@ def _add_person(
     nodes += [_placed(*node) for node in zip(rig.names, *rig.at_rest, strict=True)]
     for n, parent in enumerate(rig.parents[1:], start=1):
         nodes[first + parent].setdefault("children", []).append(first + n)
-    some = chunks(len(rows), FRAMES_AT_ONCE)
+    some = chunks(len(rows))
     local = [rig.local_rotations(motion.rotations[rows[part]]) for part in some]
     turns = continuous(np.concatenate(local))
     paths = {node: places[rows] for node, places in motion.places.items()}
@@ -301,5 +300,4 @@ def _provenance(clip: Clip, rows: Indices, held: list[int]) -> dict[str, Any]:
 
 def _packed(whole: Array) -> str:
     """Return whole numbers (K, ...), a column after the other, compressed, as text."""
-    columns = whole.T.astype(PACKED).tobytes()
-    return base64.b64encode(zlib.compress(columns)).decode()
+    return base64.b64encode(zlib.compress(whole.T.astype(PACKED).tobytes())).decode()

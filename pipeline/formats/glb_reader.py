@@ -28,11 +28,7 @@ _Values = Callable[[int], NDArray[Any]]
 
 
 def read_glb(path: AnyPath) -> Clip:
-    """Read a clip that ``write_glb`` wrote on kinefilter's own skeleton.
-
-    Raises InputError if the file is missing, damaged, not from kinefilter, or on
-    another rig.
-    """
+    """Read a clip of ``write_glb`` on kinefilter's skeleton, or raise InputError."""
     source = os.fspath(path)
     with refused(source, DAMAGED), np.errstate(all="ignore"):
         return _clip(*_chunks(check_file(path)), source)
@@ -42,8 +38,7 @@ def read_glb_times(path: AnyPath) -> tuple[list[list[str]], Array, str | None]:
     """Return the joint names of each skeleton, times [s] of keyframes, and root motion.
 
     Keyframes are those of the first skeleton, which may come from any program; its root
-    motion is then unknown. Raises InputError if the file is missing, damaged or has no
-    animated skeleton.
+    motion is then unknown. Raises InputError if the file has no animated skeleton.
     """
     with refused(path, DAMAGED), np.errstate(all="ignore"):
         document, data = _chunks(check_file(path))
@@ -158,8 +153,7 @@ def _provenance(extras: dict[str, Any], count: int, kept: Indices) -> dict[str, 
     for name, field in glb.PER_KEYFRAME.items():
         width = {"contacts": len(CONTACTS), "external_force": 1}.get(field, joints)
         size = count * width * glb.PACKED.itemsize
-        text = base64.b64decode(extras[name])
-        data = zlib.decompressobj().decompress(text, size + 1)
+        data = zlib.decompressobj().decompress(base64.b64decode(extras[name]), size + 1)
         rows = np.frombuffer(data, glb.PACKED).reshape(width, count).T[kept]
         rows = rows.astype(float)
         if field == "external_force":

@@ -75,10 +75,7 @@ def read_guarded(reader: str, path: str) -> dict[str, NDArray[Any]]:
 
 
 def read_usd(reader: str, path: AnyPath) -> dict[str, NDArray[Any]]:
-    """Read arrays from a USD file with a function of ``usd_reader``.
-
-    Raises InputError as ``read_guarded``, and for files too large to open at all.
-    """
+    """Read arrays from USD with a function of ``usd_reader``, or raise InputError."""
     source, size = os.fspath(path), check_file(path).stat().st_size
     if size > _LARGEST_USD:
         raise InputError(f"{source}: {size / 1e6:.0f} MB is too large; split it")

@@ -23,19 +23,10 @@ from kinefilter.characters.motion import check_order
 
 from .files import array_of, list_in, number_in, read_bytes, read_json, refused
 from .markers import mocap_of_points
-from .mocap import kinect_joints, plain_name, read_points
+from .mocap import kinect_joints, plain_name, recording_of
 from .npz import read_array
-from .recording import (
-    ASSUMED_FPS,
-    MOST_FRAMES,
-    Recording,
-    Sighting,
-    check_length,
-    of_other_tracker,
-    open_rows,
-    takes_of_people,
-)
-from .rows import RowReader
+from .recording import ASSUMED_FPS, Recording, Sighting, not_by_kinect, takes_of_people
+from .rows import MOST_FRAMES, RowReader, open_rows
 
 _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
@@ -90,7 +81,7 @@ def read_npy(source: str) -> Recording:
         values = array[:, : len(names)].astype(np.float64)
     visibility = values[..., 3] if values.shape[2] == 4 else None
     mocap = mocap_of_points(names, values[..., :3], ASSUMED_FPS, source, visibility)
-    return replace(read_points(mocap), timed=False)
+    return replace(recording_of(mocap), timed=False)
 
 
 def _is_pose(shape: tuple[int, ...]) -> bool:
@@ -98,10 +89,7 @@ def _is_pose(shape: tuple[int, ...]) -> bool:
 
 
 def claims_npy(source: str) -> bool:
-    """Return True if an array's shape is one of landmarks; others are beside takes.
-
-    Raises InputError for damaged arrays.
-    """
+    """Return True if an array's shape is one of landmarks, or raise InputError."""
     return _is_pose(_read_npy(source).shape)
 
 
@@ -131,14 +119,13 @@ def read_freemocap(source: str) -> Recording:
 
         reader = RowReader(source, ("timestamp", *needed), cells)
         values = reader.read(lines, row + 1, MOST_FRAMES).values
-    check_length(len(values), source)
     positions = values[:, 1:].reshape(len(values), len(names), 3)
     mocap = mocap_of_points(tuple(names), positions, ASSUMED_FPS, source)
     time = values[:, 0]
     if np.isnan(time).any():
-        return replace(read_points(mocap), timed=False)
+        return replace(recording_of(mocap), timed=False)
     check_order(time, lambda k: f"{source}: frame {k + 1}: 'timestamp'", "frames")
-    return read_points(mocap, time - time[0])
+    return recording_of(mocap, time - time[:1])
 
 
 def _cells(line: str, source: str) -> list[str]:
@@ -249,8 +236,7 @@ def _mmpose_body(body: Any, names: tuple[str, ...] | None, where: str) -> _Body:
 def _recording(
     frames: list[list[_Body | None]], numbers: list[float], source: str
 ) -> Recording:
-    check_length(len(frames), source)
-    time = (np.array(numbers) - numbers[0]) / ASSUMED_FPS
+    time = (np.array(numbers) - numbers[:1]) / ASSUMED_FPS
     check_order(time, lambda k: f"{source}: frame {k + 1}: its number", "frames")
     found = [
         (frame, number, *body)
@@ -269,4 +255,4 @@ def _recording(
     sightings = list(map(Sighting, frame_of, number_of, positions, motion.state))
     takes, others = takes_of_people(time, sightings, KINECT_V2, source)
     people = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
-    return of_other_tracker(replace(people, timed=False))
+    return not_by_kinect(replace(people, timed=False))

@@ -12,6 +12,7 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.rotations import (
+    IDENTITY,
     continuous,
     inverse,
     multiply,
@@ -64,20 +65,55 @@ def sparse_curves(
         for node, path in places.items()
     }
     local = continuous(slerp(local[before], local[after], share[:, None]))
-    chain = _Chain(rig, paths, local, error)
+    wanted = rig.world_rotations(local)
+    rest, allowed = rig.at_rest[0], error - _ROUNDING
+    # Rotations and positions by the curves so far; the last row is the root's parent.
+    turned = np.empty((len(local), len(rig) + 1, 4))
+    positions = np.empty((len(local), len(rig) + 1, 3))
+    turned[:, -1], positions[:, -1] = IDENTITY, 0.0
+
+    def placed(node: int, places: Array) -> Array:
+        parent = rig.parents[node]
+        return np.asarray(positions[:, parent] + rotate(turned[:, parent], places))
+
+    def posed(node: int, values: Array) -> Array:
+        return multiply(turned[:, rig.parents[node]], normalize(values))
+
+    children: list[list[int]] = [[] for _ in rest]  # at a distance and not moving
     for node, parent in enumerate(rig.parents):
-        place = rig.at_rest[0][node]
+        turned[:, node] = wanted[:, node]
+        positions[:, node] = placed(node, paths.get(node, rest[node]))
+        if node not in paths and np.linalg.norm(rest[node]) > _SHORT:
+            children[parent].append(node)
+    targets = positions.copy()
+
+    # These return the errors in each frame, as multiples of the largest allowed one.
+    def too_far(node: int, places: Array) -> Array:
+        return np.asarray(np.linalg.norm(places - targets[:, node], axis=1) / allowed)
+
+    def position_errors(node: int, places: Array) -> Array:
+        return too_far(node, placed(node, places))
+
+    def rotation_errors(node: int, values: Array) -> Array:
+        """Also those of the children, which the node moves."""
+        now = posed(node, values)
+        sines = multiply(inverse(wanted[:, node]), now)[:, 1:]
+        most = 2.0 * np.linalg.norm(sines, axis=1) / (allowed / _LEVER)
+        for child in children[node]:
+            place = positions[:, node] + rotate(now, rest[child])
+            most = np.maximum(most, too_far(child, place))
+        return np.asarray(most)
+
+    for node, parent in enumerate(rig.parents):
+        above, place = inverse(turned[:, parent]), rest[node]
         if node in paths:
-            errors = partial(chain.position_errors, node)
-            curve, place = _fitted(node, stamps, chain.wanted_place(node), errors)
+            goal = rotate(above, targets[:, node] - positions[:, parent])
+            curve, place = _fitted(node, stamps, goal, partial(position_errors, node))
             yield curve
-        chain.put(node, place)
-        target = chain.world[:, node]
-        if parent >= 0:
-            target = multiply(inverse(chain.turned[:, parent]), target)
-        errors = partial(chain.rotation_errors, node)
-        curve, values = _fitted(node, stamps, continuous(target), errors)
-        chain.turned[:, node] = chain.turn(node, values)
+        positions[:, node] = placed(node, place)
+        goal = continuous(multiply(above, wanted[:, node]))
+        curve, values = _fitted(node, stamps, goal, partial(rotation_errors, node))
+        turned[:, node] = posed(node, values)
         yield curve
 
 
@@ -93,75 +129,10 @@ def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
     return times.astype(float), before[known], share[known]
 
 
-class _Chain:
-    """Positions and rotations of a rig's nodes: the targets, and those of curves."""
-
-    def __init__(
-        self, rig: Rig, paths: Mapping[int, Array], local: Array, error: float
-    ) -> None:
-        self._rig, self._places = rig, rig.at_rest[0]
-        self.world = rig.world_rotations(local)  # the targets, (T, N, 4)
-        self.turned = self.world.copy()  # by the curves so far
-        self._positions = np.empty((*local.shape[:2], 3))
-        for node in range(len(rig)):
-            self.put(node, paths.get(node, self._places[node]))
-        self._targets = self._positions.copy()
-        far = np.linalg.norm(self._places, axis=1) > _SHORT
-        far[list(paths)] = True
-        self._children: list[list[int]] = [[] for _ in range(len(rig))]
-        for node, parent in enumerate(rig.parents):
-            if parent >= 0 and far[node] and node not in paths:
-                self._children[parent].append(node)
-        self._allowed = error - _ROUNDING
-        self._angle = self._allowed / _LEVER
-
-    def put(self, node: int, place: Array) -> None:
-        """Put a node at a local position [m], (3,) or (T, 3)."""
-        self._positions[:, node] = self._world_position(node, place)
-
-    def _world_position(self, node: int, place: Array) -> Array:
-        parent = self._rig.parents[node]
-        if parent < 0:
-            return place
-        return self._positions[:, parent] + rotate(self.turned[:, parent], place)
-
-    def wanted_place(self, node: int) -> Array:
-        """Return the local positions [m] (T, 3) that put a node onto its target."""
-        parent, targets = self._rig.parents[node], self._targets[:, node]
-        if parent < 0:
-            return targets
-        away = targets - self._positions[:, parent]
-        return np.asarray(rotate(inverse(self.turned[:, parent]), away))
-
-    def turn(self, node: int, values: Array) -> Array:
-        """Return the world rotations (T, 4) of a node from its local ones."""
-        parent, local = self._rig.parents[node], normalize(values)
-        return local if parent < 0 else multiply(self.turned[:, parent], local)
-
-    def position_errors(self, node: int, places: Array) -> Array:
-        """Return the error of each local position, as a multiple of the allowed one."""
-        away = self._world_position(node, places) - self._targets[:, node]
-        return np.asarray(np.linalg.norm(away, axis=1) / self._allowed)
-
-    def rotation_errors(self, node: int, values: Array) -> Array:
-        """Return the largest such error of a node's rotation and of its children."""
-        now = self.turn(node, values)
-        sines = multiply(inverse(self.world[:, node]), now)[:, 1:]
-        most = 2.0 * np.linalg.norm(sines, axis=1) / self._angle
-        for child in self._children[node]:
-            place = self._positions[:, node] + rotate(now, self._places[child])
-            away = np.linalg.norm(place - self._targets[:, child], axis=1)
-            most = np.maximum(most, away / self._allowed)
-        return np.asarray(most)
-
-
 def _fitted(
     node: int, stamps: Array, values: Array, errors: Callable[[Array], Array]
 ) -> tuple[Curve, Array]:
-    """Return a curve through few of the values (T, C), and its value in each frame.
-
-    ``errors`` gives the error of such values in each frame, 1 for the largest allowed.
-    """
+    """Return a curve through few values (T, C), and its own, of ``errors`` up to 1."""
     from scipy.interpolate import CubicSpline  # slow to load
 
     kept = np.zeros(len(stamps), dtype=np.bool_)

@@ -14,8 +14,6 @@ A confidence of at least 0.5 counts as tracked, a lower one as inferred: MediaPi
 only landmarks with a visibility of at least 0.5.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -24,14 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V1,
-    KINECT_V2,
-    InputError,
-    Skeleton,
-    State,
-    standard_body,
-)
+from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Skeleton, State
+from kinefilter.characters.anthropometry import standard_body
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
 from kinefilter.retarget.rig_map import listed, load_source_rig, matching_source_rig
@@ -40,9 +32,9 @@ from .acclaim import read_amc, read_asf
 from .bvh import read_bvh
 from .files import AnyPath, beginning, check_file
 from .markers import C3D_MAGIC, TRC_MAGIC, read_c3d, read_trc
-from .recording import Mocap, Recording, check_length, of_other_tracker, takes_of_rows
+from .recording import Mocap, Recording, check_length, not_by_kinect, takes_of_rows
 
-_POINT_RIGS = ("plug_in_gait", "keypoints")
+_POINT_RIGS: Sequence[str] = ("plug_in_gait", "keypoints")
 RIGS = ("cmu", "motionbuilder", "acclaim", *_POINT_RIGS)
 """Rigs that mocap comes with, besides the Kinects' own skeletons."""
 _BVH_RIGS = ("cmu", "motionbuilder", "rokoko", "ipi", "jointed")
@@ -68,6 +60,18 @@ _NO_TRAVEL = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class KinectMotion:
+    """The motion of a Kinect's joints in mocap, y up."""
+
+    positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
+    turns: Array | None  # world rotation of the part that turns each segment, wxyz
+    state: Codes  # tracking states, shape (T, J)
+    unit: str  # best fit to the bones; empty if none fits
+    meters: float  # length of the unit, or scale to a standard body if none fits [m]
+    rig: str
+
+
 def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     """Read a BVH, AMC, C3D or TRC file, detected by content; text may be gzipped.
 
@@ -81,7 +85,7 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
             return read_c3d(path)
     first = beginning(path)
     if first.startswith("HIERARCHY"):
-        return _bvh_mocap(os.fspath(path))
+        return bvh_mocap(os.fspath(path))
     if first.startswith(TRC_MAGIC):
         return read_trc(path)
     if first[:1] not in ("#", ":"):
@@ -98,41 +102,21 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
     return read_amc(path, read_asf(max(fitting or given, key=lambda a: len(a.stem))))
 
 
-def _bvh_mocap(source: str) -> Mocap:
+def bvh_mocap(source: str) -> Mocap:
+    """Read a BVH file; raises InputError if it is malformed."""
     bvh = read_bvh(source)
     return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
 
 
-def read_bvh_take(source: str) -> Recording:
-    """Read a BVH file as a take; raises InputError if malformed or of no known rig."""
-    return _recording(_bvh_mocap(source), (KINECT_V2, KINECT_V1), _BVH_RIGS)
+def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
+    """Make a take of BVH or of named points, at its frame rate or at times [s] given.
 
-
-def read_trc_take(source: str) -> Recording:
-    """Read the joints in a TRC file as a take; raises InputError as read_points."""
-    return read_points(read_trc(source))
-
-
-def read_c3d_take(source: str) -> Recording:
-    """Read the joints in a C3D file as a take; raises InputError as read_points."""
-    return read_points(read_c3d(source))
-
-
-def read_points(mocap: Mocap, time: Array | None = None) -> Recording:
-    """Make a take of named points, at the frame rate or at the times [s] given.
-
-    Raises InputError if they are of no known rig or not of a person.
+    It is on the skeleton that comes first if all its joints are there by name. Raises
+    InputError if the joints are of no known rig or not of a person.
     """
-    return _recording(mocap, (KINECT_V1, KINECT_V2), _POINT_RIGS, time)
-
-
-def _recording(
-    mocap: Mocap,
-    skeletons: tuple[Skeleton, Skeleton],
-    rigs: Sequence[str],
-    time: Array | None = None,
-) -> Recording:
-    """Make a recording on the first skeleton if all its joints are there by name."""
+    skeletons, rigs = (KINECT_V1, KINECT_V2), _POINT_RIGS
+    if mocap.rotations is not None:
+        skeletons, rigs = (KINECT_V2, KINECT_V1), _BVH_RIGS
     check_length(len(mocap.positions), mocap.source)
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
@@ -141,16 +125,13 @@ def _recording(
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
     takes, others = takes_of_rows(time, positions, motion.state, skeleton, mocap.source)
     recording = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
-    return recording if motion.rig == skeleton.name else of_other_tracker(recording)
+    return recording if motion.rig == skeleton.name else not_by_kinect(recording)
 
 
 def kinect_joints(
     mocap: Mocap, skeleton: Skeleton, rigs: Sequence[str] = _POINT_RIGS
 ) -> tuple[Array, KinectMotion, tuple[str, ...]]:
-    """Return a take's positions [m] (T, J, 3), the motion they come from, and notes.
-
-    Raises InputError as ``kinect_motion``.
-    """
+    """Return positions [m] (T, J, 3), their motion, and notes, or raise InputError."""
     motion = kinect_motion(mocap, skeleton, rigs)
     positions, notes = motion.meters * motion.positions, list[str]()
     if not motion.unit:
@@ -161,18 +142,6 @@ def kinect_joints(
         positions = positions + _AHEAD
         notes.append(_NO_TRAVEL)
     return positions, motion, tuple(notes)
-
-
-@dataclass(frozen=True, eq=False)
-class KinectMotion:
-    """The motion of a Kinect's joints in mocap, y up."""
-
-    positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
-    turns: Array | None  # world rotation of the part that turns each segment, wxyz
-    state: Codes  # tracking states, shape (T, J)
-    unit: str  # best fit to the bones; empty if none fits
-    meters: float  # length of the unit, or scale to a standard body if none fits [m]
-    rig: str
 
 
 def plain_name(name: str) -> str:

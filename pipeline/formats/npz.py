@@ -116,10 +116,7 @@ def read_npz(path: AnyPath) -> Clip:
 
 
 def clip_of_arrays(archive: dict[str, Any]) -> Clip:
-    """Return the clip whose arrays these are.
-
-    Raises InputError, ValueError, TypeError or IndexError if they are not.
-    """
+    """Return the clip whose arrays these are, or raise what ``refused`` knows."""
     archive = {"roll": 0.0, **archive}
     names = (*_ARRAYS, *_ONCE, *_BODY)
     for name in ("skeleton", "source", *names):

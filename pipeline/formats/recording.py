@@ -1,7 +1,6 @@
 """Recordings: the takes of all people in a file, and mocap, a skeleton in motion."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import PurePath
@@ -9,19 +8,19 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton, State, Take, unit_hint
+from kinefilter.characters import InputError, Skeleton, State, Take
+from kinefilter.characters.anthropometry import unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.people import Part, Track, people_of
 
-from .files import open_text
 from .plain import counted
+from .rows import MOST_FRAMES
 
 _Path = TypeVar("_Path", bound=PurePath)
 Notes = tuple[str, ...]
 
-MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
 FASTEST = 2000.0  # frames/s, of marker mocap
 ASSUMED_FPS = 30.0
 """Frame rate [frames/s] of files without time stamps."""
@@ -37,8 +36,6 @@ _COARSEST = 1e-4  # s: a hundredth of a frame at 100 frames/s
 _LARGEST_PERSON = 10.0  # m; no person spans that, but everyone does in centimeters
 FARTHEST = 10_000.0  # m; out of any sensor's range, so a farther joint is damage
 _FRAMES_MEASURED = 1000  # enough for a median
-FRAMES_AT_ONCE = 1000  # written at a time: about a megabyte of text
-STATES = "a tracking state: 0 not tracked, 1 inferred or 2 tracked"
 _FEWEST = 2  # frames of a person: a single frame has no motion
 _GHOST_SHARE, _GHOST_FRAMES = 0.02, 15
 """Whoever has fewer frames, and less than this share of the main person's, is a false
@@ -90,7 +87,7 @@ _OTHER_TRACKER = (
 )
 
 
-def of_other_tracker(recording: Recording) -> Recording:
+def not_by_kinect(recording: Recording) -> Recording:
     """Mark a recording as one whose joints do not come from a Kinect's tracker."""
     takes = tuple(replace(take, by_kinect=False) for take in recording.takes)
     return replace(recording, takes=takes, notes=(*recording.notes, _OTHER_TRACKER))
@@ -110,9 +107,8 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
         raise InputError(f"{source}: has time stamps; leave out --take-fps")
     if not 1.0 <= fps <= FASTEST:
         raise InputError(f"--take-fps {fps:g}: expected 1 to {FASTEST:g} frames/s")
-    takes = tuple(
-        replace(take, time=take.time * (ASSUMED_FPS / fps)) for take in recording.takes
-    )
+    slower = ASSUMED_FPS / fps
+    takes = tuple(replace(t, time=slower * t.time) for t in recording.takes)
     for take in takes:
         check_rate(take.time, source)
     return replace(recording, takes=takes)
@@ -120,9 +116,7 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
 
 def numbered(path: _Path, body: int | None) -> _Path:
     """Return the path for one of several people: ``clip.2.usda`` for ``clip.usda``."""
-    if body is None:
-        return path
-    return path.with_name(f"{path.stem}.{body}{path.suffix}")
+    return path if body is None else path.with_name(f"{path.stem}.{body}{path.suffix}")
 
 
 def part_paths(path: _Path, parts: int) -> list[_Path]:
@@ -131,17 +125,6 @@ def part_paths(path: _Path, parts: int) -> list[_Path]:
         return [path]
     names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
     return [path.with_name(name) for name in names]
-
-
-@contextmanager
-def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
-    """Yield the number and text of the first line that is not blank, and the rest."""
-    with open_text(source) as lines:
-        for row, line in enumerate(lines, start=1):
-            if line.strip():
-                yield row, line, lines
-                return
-        raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
 def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:
@@ -185,10 +168,7 @@ def check_length(frames: int, source: str) -> None:
 
 
 def check_rate(time: Array, source: str) -> None:
-    """Raise InputError if the frame rate is no sensor's.
-
-    Also if time stamps [s], which may repeat, are too large to tell frames apart.
-    """
+    """Raise InputError if time stamps [s] are no sensor's, or too large to be exact."""
     distinct, seconds = 1 + int(np.sum(np.diff(time) > 0)), time[-1] - time[0]
     step = nominal_step(time)
     if distinct > 1 and (distinct > FASTEST * seconds + 2 or step * FASTEST < 1.0):
@@ -253,11 +233,7 @@ class Sighting:
 def _sightings(
     time: Array, positions: Array, state: Codes, root: int
 ) -> tuple[Array, list[Sighting]]:
-    """Return the distinct time stamps and the bodies at each, numbered in row order.
-
-    There are no bodies if all rows are one person's, who moves little between rows of
-    the same time stamp.
-    """
+    """Return time stamps and the bodies at each; none if all are one person's."""
     stamps, frames = np.unique(time, return_inverse=True)
     known = ~np.isnan(positions[..., :1])
     count = np.maximum(known.sum(axis=1), 1)
@@ -338,12 +314,10 @@ def takes_of_people(
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
         takes.append(Take(time[span], places, states, skeleton, name, face=face))
-    return tuple(takes), _notes_on_changes([parts for parts, _ in people], tracks)
+    return tuple(takes), _change_notes([parts for parts, _ in people], tracks)
 
 
-def _notes_on_changes(
-    people: Sequence[Sequence[Part]], tracks: Sequence[Track]
-) -> Notes:
+def _change_notes(people: Sequence[Sequence[Part]], tracks: Sequence[Track]) -> Notes:
     begin = min(float(track.time[0]) for track in tracks)
     changes = sorted(
         float(tracks[part.track].time[part.rows[0]]) - begin

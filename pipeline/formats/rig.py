@@ -86,8 +86,7 @@ def rig_of(body: Body) -> Rig:
         nodes.append((name, parent, joint, segment))
         for child in children:
             if branches:
-                pivot = f"{skeleton.joints[child]}Pivot"
-                nodes.append((pivot, node, joint, child))
+                nodes.append((f"{skeleton.joints[child]}Pivot", node, joint, child))
             add_joint(child, len(nodes) - 1 if branches else node)
 
     add_joint(skeleton.root, -1)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import ClassVar, NoReturn
@@ -11,11 +12,25 @@ import numpy as np
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, Flags, Indices
 
+from .files import open_text
 from .plain import counted
 
+MOST_FRAMES = 1_000_000  # per recording: nine hours at 30 frames/s
+STATES = "a tracking state: 0 not tracked, 1 inferred or 2 tracked"
 LARGEST_NUMBER = 1e9
 """Largest length or angle in any unit; a larger number means damage."""
 _BLOCK_LINES = 2000  # a few megabytes of text in memory, however long the file
+
+
+@contextmanager
+def open_rows(source: str) -> Iterator[tuple[int, str, Iterator[str]]]:
+    """Yield the number and text of the first line that is not blank, and the rest."""
+    with open_text(source) as lines:
+        for row, line in enumerate(lines, start=1):
+            if line.strip():
+                yield row, line, lines
+                return
+        raise InputError(f"{source}: the file is empty; expected a recorded take")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +52,13 @@ class RowReader:
     hint: str = "leave the cell empty if nothing was measured"
     """What to do about a cell that is no number."""
 
-    def read(
-        self, lines: Iterable[str], first_row: int, most: float = math.inf
-    ) -> Block:
+    def read(self, lines: Iterable[str], first: int, most: float = math.inf) -> Block:
         """Read all rows in order, without blank lines.
 
-        ``first_row`` is the number of the first line, counted from 1. Stops early, some
-        time after ``most`` rows. Raises InputError for a wrong number of columns, text,
-        or an infinite number.
+        ``first`` is the number of the first line, counted from 1. Stops early, after
+        ``most`` rows or more. Raises InputError for all but rows of finite numbers.
         """
-        numbered, count = enumerate(lines, start=first_row), 0
+        numbered, count = enumerate(lines, start=first), 0
         blocks = [Block(np.empty(0, int), np.empty((0, len(self.columns))))]
         while count <= most and (chunk := list(islice(numbered, _BLOCK_LINES))):
             # A tab at either end may be next to an empty cell.
@@ -67,8 +79,7 @@ class RowReader:
             numbered = zip(rows, texts, strict=True)
             values = np.array([self._numbers(row, text) for row, text in numbered])
         block = Block(rows, values)
-        complaint = "is infinite; expected a finite number"
-        self.refuse(block, np.isinf(values), complaint)
+        self.refuse(block, np.isinf(values), "is infinite; expected a finite number")
         return block
 
     def _numbers(self, row: int, text: str) -> list[float]:
@@ -88,10 +99,7 @@ class RowReader:
         return numbers
 
     def refuse(self, block: Block, wrong: Flags, complaint: str) -> None:
-        """Raise InputError for the first wrong number (R, C), if any.
-
-        ``{}`` in the complaint stands for that number.
-        """
+        """Refuse the first wrong number (R, C), which is ``{}`` in the complaint."""
         if wrong.any():
             k, column = np.argwhere(wrong)[0].tolist()
             self._fail(block.rows[k], column, complaint.format(block.values[k, column]))

@@ -13,34 +13,15 @@ from itertools import chain
 
 import numpy as np
 
-from kinefilter.characters import (
-    CONTACTS,
-    KINECT_V1,
-    KINECT_V2,
-    SKELETONS,
-    Clip,
-    InputError,
-    Origin,
-    Skeleton,
-    State,
-    Take,
-)
+from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, Codes, Flags, chunks
-from kinefilter.characters.motion import check_order
+from kinefilter.characters.motion import CONTACTS, Clip, Origin, State, check_order
+from kinefilter.characters.skeleton import KINECT_V1, KINECT_V2, SKELETONS, Skeleton
 
 from .files import AnyPath, beginning, new_text, open_text
 from .npz import read_npz
-from .recording import (
-    FRAMES_AT_ONCE,
-    MOST_FRAMES,
-    STATES,
-    Recording,
-    check_length,
-    mark_missing,
-    open_rows,
-    takes_of_rows,
-)
-from .rows import Block, RowReader
+from .recording import Recording, check_length, mark_missing, takes_of_rows
+from .rows import MOST_FRAMES, STATES, Block, RowReader, open_rows
 
 PART = ".part.csv"
 """Suffix of recordings by ``live``; if it is killed, the last row may be incomplete."""
@@ -62,8 +43,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
 
     The header is ``time,Joint.x,Joint.y,Joint.z,Joint.state,...`` in the sensor's
     order. In a clip, every joint that was corrected or filled counts as inferred.
-    Positions have nine decimals, times are exact; a missing coordinate is an empty
-    cell.
+    Positions have nine decimals, times are exact; missing ones are empty cells.
     """
     state = motion.state
     if isinstance(motion, Clip):
@@ -71,7 +51,7 @@ def write_take_csv(motion: Take | Clip, path: AnyPath) -> None:
         state = np.where(measured, np.maximum(state, State.INFERRED), State.INFERRED)
     with new_text(path) as file:
         file.write(take_header(motion.skeleton))
-        for span in chunks(len(motion), FRAMES_AT_ONCE):
+        for span in chunks(len(motion)):
             rows = take_rows(motion.time[span], motion.positions[span], state[span])
             file.write(rows)
 
@@ -319,10 +299,7 @@ def claims_contacts(path: AnyPath) -> bool:
 
 
 def contact_table(path: AnyPath) -> tuple[Array, Flags]:
-    """Read times [s] (T,) and contacts (T, 4) from a table or a clip as npz.
-
-    Raises InputError if the file is missing or malformed.
-    """
+    """Read times [s] (T,) and contacts (T, 4), from CSV or npz, or raise InputError."""
     source = os.fspath(path)
     if source.lower().endswith(".npz"):
         clip = read_npz(path)

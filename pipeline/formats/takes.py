@@ -14,7 +14,8 @@ from kinefilter.characters.arrays import check_choice
 from kinefilter.pipeline.target.upright import with_y_up
 
 from .files import AnyPath, beginning, check_file
-from .recording import Recording, at_rate, open_rows
+from .recording import Mocap, Recording, at_rate
+from .rows import open_rows
 from .sheets import header_cells
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
@@ -46,8 +47,8 @@ def _has(line: str, layout: str) -> bool:
 
 FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     "npy": ("keypoints:read_npy", lambda line: line.startswith(_NPY)),
-    "c3d": ("mocap:read_c3d_take", lambda line: line.startswith(_C3D)),
-    "trc": ("mocap:read_trc_take", lambda line: line.startswith("PathFileType")),
+    "c3d": ("markers:read_c3d", lambda line: line.startswith(_C3D)),
+    "trc": ("markers:read_trc", lambda line: line.startswith("PathFileType")),
     "freemocap": ("keypoints:read_freemocap", lambda line: "left_hip_x" in line),
     "openpose": ("keypoints:read_openpose", lambda line: _has(line, "openpose")),
     "mmpose": ("keypoints:read_mmpose", lambda line: _has(line, "mmpose")),
@@ -65,10 +66,10 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
     ),
     "ntu": ("datasets:read_ntu", lambda line: line.strip().isdigit()),
     "azure": ("azure:read_azure", lambda line: line.startswith("{")),
-    "bvh": ("mocap:read_bvh_take", lambda line: _words(line) == ["HIERARCHY"]),
+    "bvh": ("mocap:bvh_mocap", lambda line: _words(line) == ["HIERARCHY"]),
 }
-"""For each format by name: the module and function that read a path into a Recording,
-and a predicate on the first line of a file. The first match is the file's format."""
+"""For each format by name: the module and function that read a path into a Recording or
+Mocap, and a predicate on a file's first line. The first match is the file's format."""
 
 
 def read_take(
@@ -80,8 +81,7 @@ def read_take(
 ) -> Take:
     """Read a recording of a person.
 
-    Formats (FORMATS; their layouts are in CONVENTIONS.md) are detected by content, and
-    each may be gzipped.
+    Formats (FORMATS; see CONVENTIONS.md) are detected by content, and may be gzipped.
 
     A joint that is not tracked, not a number or exactly at the origin, where sensors
     put joints that they do not see, is missing: NaN and state 0. Joints from trackers
@@ -113,9 +113,14 @@ def read_recording(
             raise InputError(f"{source}: is a clip or an archive; give the take")
     name = format or _detected(_first_line(source), source)
     module, _, function = FORMATS[name][0].partition(":")
-    read: Callable[[str], Recording]
+    read: Callable[[str], Recording | Mocap]
     read = getattr(import_module(f".{module}", __package__), function)
-    recording = replace(read(source), format=name)
+    found = read(source)
+    if isinstance(found, Mocap):
+        from .mocap import recording_of  # loads more readers
+
+        found = recording_of(found)
+    recording = replace(found, format=name)
     takes = tuple(map(with_y_up, recording.takes))
     if takes != recording.takes:
         note = "y points down, judging by feet and toes: it was negated"
@@ -145,9 +150,7 @@ def claims_take(path: AnyPath) -> bool:
             return claims_npy(source)
         if name in ("c3d", "trc"):
             return bool(read_recording(path, format=name).takes)
-        return name in ("bvh", "freemocap") or bool(
-            [float(word) for word in _words(line)]
-        )
+        return name in ("bvh", "freemocap") or bool([float(w) for w in _words(line)])
     except (InputError, ValueError):
         return False
 

@@ -35,7 +35,6 @@ from kinefilter.characters.skin import skin_of
 from . import usd_character as parts
 from .export import PER_CLIP, PER_FRAME, Export, name_tables, whole_rate
 from .files import atomic_path
-from .recording import FRAMES_AT_ONCE
 from .rig import RigMotion, rig_of
 from .usd_character import CHARACTER, SKELETON, SKIN, joint_paths, set_samples, vectors
 
@@ -62,7 +61,7 @@ def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None
                 # Writing text via a binary layer needs less memory.
                 folder = files.enter_context(tempfile.TemporaryDirectory())
                 layer = Path(folder) / "clip.usdc"
-            reference = _character_reference(clip, path, export, files)
+            reference = _reference(clip, path, export, files)
             _write_layer(clip, motion, layer, export, reference)
             if suffix == ".usda":
                 Sdf.Layer.FindOrOpen(str(layer)).Export(str(temporary))
@@ -79,9 +78,7 @@ def write_usd(clip: Clip, motion: RigMotion, path: Path, export: Export) -> None
         ) from error
 
 
-def _character_reference(
-    clip: Clip, path: Path, export: Export, files: ExitStack
-) -> str | None:
+def _reference(clip: Clip, path: Path, export: Export, files: ExitStack) -> str | None:
     if export.character is None:
         return None
     if export.character.exists():
@@ -124,8 +121,7 @@ def _write_layer(
     if reference is not None:
         # Last, once no stage resolves the reference: its layer may not exist yet.
         del stage
-        references = layer.GetPrimAtPath(CHARACTER).referenceList
-        references.Prepend(Sdf.Reference(reference))
+        layer.GetPrimAtPath(CHARACTER).referenceList.Prepend(Sdf.Reference(reference))
     layer.Save()
 
 
@@ -146,7 +142,7 @@ def _animate(stage: Any, motion: RigMotion, export: Export, codes: Array) -> Non
     binding.CreateAnimationSourceRel().SetTargets([parts.ANIMATION])
     rest = export.points(rig.at_rest[0])
     last = rig.local_rotations(motion.rotations[:1])
-    for some in chunks(len(codes), FRAMES_AT_ONCE):
+    for some in chunks(len(codes)):
         local = rig.local_rotations(motion.rotations[some])
         wxyz = continuous(np.concatenate([last, local]))[1:]
         last = wxyz[-1:]
@@ -171,7 +167,7 @@ def _write_extents(
         segments, parents = clip.skeleton.segments, clip.skeleton.segment_parents
         np.maximum.at(margins, parents, reach[segments])
         margins = margins[:, None] / export.meters_per_unit
-    for some in chunks(len(clip), FRAMES_AT_ONCE):
+    for some in chunks(len(clip)):
         points = export.points(motion.positions[some])
         joints[some, 0], joints[some, 1] = points.min(axis=1), points.max(axis=1)
         skin[some, 0] = (points - margins).min(axis=1)

@@ -116,8 +116,7 @@ def _transforms(places: Array, turns: Array | None, export: Export) -> Any:
     """Return matrices from positions [m] (N, 3) and rotations (N, 4), if any."""
     matrices = np.tile(np.eye(4), (len(places), 1, 1))
     if turns is not None:
-        turned = matrix_from_wxyz(export.axes(turns))
-        matrices[:, :3, :3] = np.swapaxes(turned, 1, 2)
+        matrices[:, :3, :3] = np.swapaxes(matrix_from_wxyz(export.axes(turns)), 1, 2)
     matrices[:, 3, :3] = export.points(places)
     return Vt.Matrix4dArray.FromNumpy(matrices)
 
@@ -179,8 +178,7 @@ def _define_shape(stage: Any, path: Any, shape: Shape, export: Export) -> None:
     place, turn = export.points(shape.position), export.axes(shape.rotation)
     _move(geometry, place[None], turn[None], None)
     if shape.kind in ("box", "ellipsoid"):
-        size = np.abs(export.points(shape.size))
-        geometry.AddScaleOp().Set(Gf.Vec3f(*size.tolist()))
+        geometry.AddScaleOp().Set(Gf.Vec3f(*np.abs(export.points(shape.size)).tolist()))
     geometry.CreateDisplayColorAttr([Gf.Vec3f(*(shape.color**GAMMA).tolist())])
     extent = UsdGeom.Boundable.ComputeExtentFromPlugins
     geometry.CreateExtentAttr(extent(geometry, Usd.TimeCode.Default()))

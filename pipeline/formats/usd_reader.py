@@ -14,12 +14,7 @@ from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 from kinefilter.characters import Clip, InputError, Prop, Shape, Skeleton, standard_body
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import (
-    about_x,
-    multiply,
-    normalize,
-    wxyz_from_matrix,
-)
+from kinefilter.characters.rotations import normalize, wxyz_from_matrix
 
 from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, name_tables, with_y_up
 from .files import refused
@@ -125,28 +120,21 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
         place = UsdGeom.Imageable(prims[0]).ComputeLocalToWorldTransform
         world = np.array(place(Usd.TimeCode.EarliestTime()))
         names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), path)
-    matrices = matrices @ world
-    places = matrices[:, 3, :3] * UsdGeom.GetStageMetersPerUnit(stage)
-    turned = np.swapaxes(matrices[:, :3, :3], 1, 2)
+    rows = (matrices @ world)[:, :, :3]  # the joint's axes, then its place
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
+        rows = with_y_up(rows)
+    places = rows[:, 3] * UsdGeom.GetStageMetersPerUnit(stage)
+    turned = np.swapaxes(rows[:, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)
     if not (np.linalg.det(turned) > 0.0).all() or not np.isfinite(places).all():
         raise InputError(f"{path}: a joint is mirrored or has no size; apply its scale")
     axes = wxyz_from_matrix(turned / sizes)
-    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        # Turning the world must not rename the axes of bones.
-        places, axes = with_y_up(places), multiply(about_x(-np.pi / 2.0), axes)
     arrays = {"names": names, "parents": parents, "places": places, "axes": axes}
     return {key: np.array(value) for key, value in arrays.items()}
 
 
 def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     """Return names, parents and matrices in the skeleton's space (N, 4, 4)."""
-
-    def read(attribute: Any) -> Array:
-        value = attribute.Get()
-        valid = isinstance(value, Vt.Matrix4dArray)
-        return np.array(value, dtype=float) if valid else np.empty((0, 4, 4))
-
     joints = skeleton.GetJointsAttr().Get()
     paths = [str(p) for p in joints] if isinstance(joints, Vt.TokenArray) else []
     if not 0 < len(paths) <= _MOST_JOINTS:
@@ -156,14 +144,12 @@ def _joints(skeleton: Any, source: str) -> tuple[list[str], list[int], Array]:
     if not valid:
         raise InputError(f"{source}: its joints are not a tree ({why}); correct them")
     parents = [int(parent) for parent in topology.GetParentIndices()]
-    matrices = read(skeleton.GetRestTransformsAttr())
-    if len(matrices) != len(paths):
-        matrices = read(skeleton.GetBindTransformsAttr())
+    found = skeleton.GetRestTransformsAttr().Get()
+    if isinstance(found, Vt.Matrix4dArray) and len(found) == len(paths):
+        found = UsdSkel.ConcatJointTransforms(topology, found)
     else:
-        with np.errstate(all="ignore"):  # values that are not finite are refused below
-            for n, parent in enumerate(parents):
-                if parent >= 0:
-                    matrices[n] = matrices[n] @ matrices[parent]
+        found = skeleton.GetBindTransformsAttr().Get()
+    matrices = np.array(found if isinstance(found, Vt.Matrix4dArray) else ())
     if matrices.shape != (len(paths), 4, 4) or not np.isfinite(matrices).all():
         raise InputError(
             f"{source}: has no rest transform for each of its {len(paths)} joints; "

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import continuous, slerp
 
 from .moves import Move

@@ -15,7 +15,7 @@ from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import cross, unit
-from kinefilter.retarget.reach import Reach
+from kinefilter.retarget.bent_limb import Reach
 from kinefilter.retarget.stance import smooth_step
 
 from .carry import STRENGTH, Carry, PerformerHands

@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Clip, InputError, Motion, Prop
+from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import to_mujoco
-from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import slerp
 from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.reach import at_most
+from kinefilter.retarget.bent_limb import at_most
 from kinefilter.retarget.stance import smooth_step
 
 from .grasp import seen_hands
