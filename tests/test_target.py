@@ -257,6 +257,30 @@ def test_live_bones_do_not_tremble_with_the_confidence_in_joints() -> None:
     assert jitter(time, np.array(found)) < 0.8 * jitter(time, alone)
 
 
+@pytest.mark.parametrize("motion", ["walk", "dance"])
+def test_live_feet_do_not_drag_the_hips_along(motion: str) -> None:
+    """Without looking ahead, a foot is let go of after it has begun to step."""
+    act, skeleton = perform(motion, BODY, seed=1), KINECT_V1
+    stages, found = (Feet(CleanConfig()), Bones()), []
+    for stage in stages:
+        stage.start(act.body)
+    state = np.full(len(skeleton), State.TRACKED, dtype=np.uint8)
+    for now, seen in zip(act.time, act.positions, strict=True):
+        draft = Draft(skeleton, float(now), seen, state)
+        draft.positions, draft.body = seen, act.body
+        draft.confidence, draft.elapsed = np.ones(len(skeleton)), 1.0 / 30.0
+        for stage in stages:
+            stage.step(draft)
+        found.append(draft.positions)
+    off = np.linalg.norm(np.array(found) - act.positions, axis=2)
+    assert off.mean() < 0.015
+    leaps = [
+        np.linalg.norm(np.diff(positions[:, skeleton.root], 2, axis=0), axis=1).max()
+        for positions in (np.array(found), act.positions)
+    ]
+    assert leaps[0] < 3.0 * leaps[1]
+
+
 # Takes as they come, from the take to the clip, where every warning is an error
 
 

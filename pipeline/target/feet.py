@@ -156,6 +156,12 @@ class StanceTracker:
         self._places = np.where(stood[:, None], self._places, ankles)
         return self._stands
 
+    def let_go(self, feet: Flags) -> Flags:
+        """Return the planted feet after some, shape (2,), have begun to step."""
+        self._lead = np.where(feet, -_SWITCH, self._lead)
+        self._stands = self._stands & ~feet
+        return self._stands
+
     def lift(self, toes: Array, soles: Array, dt: float) -> Array:
         """Return by how much to lift each foot [m] so that none slides, shape (2,).
 

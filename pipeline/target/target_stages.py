@@ -33,6 +33,9 @@ _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _BETA = 12.0  # 1/m: rise of the cutoff of live joints with speed
 _WALKING_SPEED = 0.5  # m/s: a faster root carries live joints along
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
+# m by which a live foot is held: where its toes are farther from their place it steps,
+# and its heel rises. Chosen, as feet.HELD, on p00, p04 and p06 of two-kinects.
+_REACH = 0.08
 _WINDOW = 64  # frames, two seconds, after which and from which a live turn is found
 _EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is sought before that
 _WATCHED = 20 * _WINDOW  # frames after which it stays as it is
@@ -228,12 +231,17 @@ class Feet(Stage):
         positions, weights = draft.positions.copy(), draft.weights.copy()
         path, elapsed = positions[self._parts], draft.elapsed
         stands = self._stance.step(path[:, 0], self._flat, elapsed)
+        toes = (path - self._anchors)[:, 1, [0, 2]]
+        stepped = np.linalg.norm(toes, axis=1) > _REACH
+        stands = self._stance.let_go(self._planted & stepped)
         place = path + self._moved
         place[..., 1] = self._heights
         lands = stands & ~self._planted
         self._anchors[lands] = place[lands]
         self._moved *= np.exp(-elapsed / _LET_GO)
-        self._moved[stands] = self._anchors[stands] - path[stands]
+        away = self._anchors - path
+        far = np.linalg.norm(away, axis=2, keepdims=True)
+        self._moved[stands] = (away * np.minimum(_REACH / (far + 1e-9), 1.0))[stands]
         positions[self._parts] += self._moved
         toes = positions[self._parts[:, 1]]
         lift = self._stance.lift(toes, self._heights[:, 1], elapsed)
