@@ -94,16 +94,16 @@ class FourierRidge(LearnedCorrector):
         self._chain = chain_matrix(skeleton)
         self._person: int | None = None
         names = [skeleton.joints[j] for j in self.joints_]
-        leg = np.array([name.startswith(("Knee", "Ankle", "Foot")) for name in names])
+        leg = [name.startswith(("Knee", "Ankle", "Foot")) for name in names]
         self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
         self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
         # How Kinect v1 shows trunks from the side has not been measured.
         measured = skeleton == KINECT_V2
-        ends = ("Shoulder", "Hip") if measured else ()
-        self._pairs = [list(skeleton.sides(part)) for part in ends]
-        feet = zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True)
-        self._feet = [([foot], side) for foot, side in feet if measured]
+        ends, feet = (("Shoulder", "Hip"), ("Foot",)) if measured else ((), ())
+        self._pairs = [skeleton.sides(part) for part in ends]
+        sides = [zip(skeleton.sides(part), (1.0, -1.0), strict=True) for part in feet]
+        self._feet = [([foot], side) for pair in sides for foot, side in pair]
         self._trunk = np.isin(self.joints_, self._pairs)
         self._hidden = self._posture_features.sides != 0.0
         self.start()
@@ -168,8 +168,8 @@ class FourierRidge(LearnedCorrector):
     def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
 
-        These are of the whole posture to frontal and to side-on training data, shape
-        (T, 2), and of the part of each known joint to its own, shape (T, M).
+        These are of the posture to frontal and to side-on training data, (T, 2), and of
+        the part of each known joint to its own, (T, M).
         """
         described, (order, signs) = self._posture_features, self._mirrors[live]
         sides = np.concatenate([features, features[:, order] * signs])
@@ -270,22 +270,21 @@ class FourierRidge(LearnedCorrector):
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
-        near = _ramp(found.similar[..., 1], _FAR, _NEAR)
-        turn = near * _turn(found.toward, float(self.turn_share_))
+        away = turned_away(found.toward)
+        # At a right angle to the sensor, the turn ends.
+        room = np.pi / 2.0 - _TURNED - np.abs(away)
+        turn = np.minimum(float(self.turn_share_) * np.abs(away), room)
+        turn = _ramp(found.similar[..., 1], _FAR, _NEAR) * (np.sign(away) * turn)
         if turn.any():
-            self._turn_away(moved, turn, found.toward[..., 0])
+            for pair in self._pairs:
+                middle = moved[..., pair, :].mean(axis=-2)
+                moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
+            for foot, side in self._feet:  # only the one behind the body
+                far = np.where(side * found.toward[..., 0] < 0.0, turn, 0.0)
+                ankle = moved[..., self._parents[foot[0]], :]
+                moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
-
-    def _turn_away(self, moved: Array, turn: Array, across: Array) -> None:
-        """Turn hips, shoulders and the foot behind the body, in place."""
-        for pair in self._pairs:
-            middle = moved[..., pair, :].mean(axis=-2)
-            moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
-        for foot, side in self._feet:
-            far = np.where(side * across < 0.0, turn, 0.0)
-            ankle = moved[..., self._parents[foot[0]], :]
-            moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
 
 
 class _Offsets(NamedTuple):
@@ -301,19 +300,13 @@ class _Offsets(NamedTuple):
 
 
 def _share_of_constant(similar: Array, toward: Array) -> Array:
-    """Return the share of the constant offset to apply, shape (..., 1).
-
-    From the side, the sensor misplaces joints in another way than from the front.
-    """
+    """Return the share of the constant offset, that of the front, to apply, (..., 1)."""
     off_frontal = _off_frontal_share(toward[..., :1], similar)
     return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:
-    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training data.
-
-    ``sine`` is that of the view angle, 0 for a person who faces the sensor.
-    """
+    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training data."""
     off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
     return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
 
@@ -328,16 +321,6 @@ def turned_away(toward: Array) -> Array:
     angle = np.arctan2(left, np.abs(ahead))
     beyond = np.maximum(np.abs(angle) - _TURNED, 0.0)
     return np.asarray(np.sign(left) * np.sign(ahead) * beyond)
-
-
-def _turn(toward: Array, share: float) -> Array:
-    """Return the turn [rad] to the left by a ``share`` of ``turned_away``.
-
-    At a right angle to the sensor it ends.
-    """
-    away = turned_away(toward)
-    room = np.pi / 2.0 - _TURNED - np.abs(away)
-    return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))
 
 
 def _turned(positions: Array, turn: Array, center: Array) -> Array:

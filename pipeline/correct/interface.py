@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,7 +20,19 @@ CORRECTED_CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class _Arrays:
+    def at(self, frames: Any) -> Self:
+        """Return a frame or some of a take; None makes a take of a frame."""
+        rows = {
+            name: np.asarray(value)[frames]
+            for name, value in vars(self).items()
+            if value is not None and name != "lengths"
+        }
+        return replace(self, **rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation(_Arrays):
     """A frame on the standard body, root at the origin, facing +z.
 
     For a whole take, every array except ``lengths`` has a leading axis T.
@@ -39,17 +51,10 @@ class Observation:
     sensor: Array | None = None
     """Position of the sensor [m] in the heading frame, shape (3,)."""
 
-    def at(self, frames: Any) -> Observation:
-        """Return a frame or some of a take; None makes a take of a frame."""
-        return replace(self, **_rows(self, frames))
-
 
 @dataclass(frozen=True, eq=False)
-class Correction:
-    """A corrected frame, in the heading frame and body size of the observation.
-
-    For a whole take, every array has a leading axis T.
-    """
+class Correction(_Arrays):
+    """A corrected frame, or with a leading axis T a take, as the observation's."""
 
     positions: Array
     """Joint positions [m], shape (J, 3). A method for whole takes may leave NaN."""
@@ -61,18 +66,6 @@ class Correction:
     coverage: Any
     """How well the method knows the posture, in [0, 1]: a number, or for a take an
     array of shape (T,); NaN if the method cannot say."""
-
-    def at(self, frames: Any) -> Correction:
-        """Return a frame or some of a take; None makes a take of a frame."""
-        return Correction(**_rows(self, frames))
-
-
-def _rows(values: Observation | Correction, frames: Any) -> dict[str, Any]:
-    return {
-        name: None if value is None else np.asarray(value)[frames]
-        for name, value in vars(values).items()
-        if name != "lengths"
-    }
 
 
 class Corrector:
@@ -153,7 +146,6 @@ class CorrectorChain(Corrector):
             found, missing = call(seen), np.isnan(seen.positions)
             seen = replace(seen, positions=np.where(missing, np.nan, found.positions))
         least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_reliability)
-        reliability, geometry = (
-            np.maximum(values, least) for values in (seen.reliability, seen.geometry)
-        )
-        return calls[-1](replace(seen, reliability=reliability, geometry=geometry))
+        names = ("reliability", "geometry")
+        scores = {name: np.maximum(getattr(seen, name), least) for name in names}
+        return calls[-1](replace(seen, **scores))

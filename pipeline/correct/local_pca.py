@@ -110,11 +110,9 @@ class LocalPCA(Corrector):
         self.start()
         count = len(take.positions)
         steps = iter(range(count) if frames is None else frames)
-        parts = []
-        for some in chunks(count, _CHUNK):
-            part = take.at(some)
-            parts.append(self._correct(part, islice(steps, len(part.positions))))
-        return joined(parts)
+        parts = map(take.at, chunks(count, _CHUNK))
+        rows = [self._correct(one, islice(steps, len(one.positions))) for one in parts]
+        return joined(rows)
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
         measured, missing = take.positions, np.isnan(take.positions[..., 0])
@@ -149,9 +147,7 @@ class LocalPCA(Corrector):
         ``measured`` positions [m] (J, 3) may be NaN where the reliability (J,) is 0.
         """
         nearest = self._neighbors(measured, reliability)
-        steady = None
-        if self._last:
-            steady = 2.0 * self._last[1] - self._last[0]  # eq. 14
+        steady = 2.0 * self._last[1] - self._last[0] if self._last else None  # eq. 14
         observed, spanned = (measured, reliability, steady), frozenset(nearest.tolist())
         if spanned == self._spanned:  # as in four of ten frames
             self.energy.aim(*observed)
@@ -161,12 +157,12 @@ class LocalPCA(Corrector):
             self.energy = PostureEnergy(space, self._body, *observed, self.weights)
         space = self.energy.space
         last = self._last[-1] if self._last else self.database.flat[nearest[0]]
-        start = space.project(last)
+        sought = self.energy, space.project(last)
         if self.search == "solver":
-            latent = solve(self.energy, start)
+            latent = solve(*sought)
         else:
             limits = {"steps": self.steps, "samples": self.samples}
-            latent = stochastic_search(self.energy, start, self._generator, **limits)
+            latent = stochastic_search(*sought, self._generator, **limits)
         posture = space.posture(latent)
         self._last = [self._last[1] if self._last else posture, posture]
         return posture.reshape(-1, 3), nearest
@@ -174,26 +170,24 @@ class LocalPCA(Corrector):
     def _neighbors(self, measured: Array, reliability: Array) -> Indices:
         """Return the database postures nearest to the reliable joints (eq. 9).
 
-        The last posture is part of the query with a small weight, so that unreliable
-        joints do not wander through the database from frame to frame.
+        The last posture also counts a little: unreliable joints must not wander.
         """
         query, weights = measured, reliability
         if self._last:
-            last = self._last[-1].reshape(-1, 3)
             seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
             weights = reliability + self.memory
-            total = reliability[:, None] * seen + self.memory * last
-            query = total / np.maximum(weights, 1e-12)[:, None]
-        count, guess = self.neighbors, self._nearest
-        nearest: Indices = self.database.neighbors(query, weights, count, guess)[0]
-        self._nearest = nearest
-        return nearest
+            last = self.memory * self._last[-1].reshape(-1, 3)
+            query = reliability[:, None] * seen + last
+            query = query / np.maximum(weights, 1e-12)[:, None]
+        found = self.database.neighbors(query, weights, self.neighbors, self._nearest)
+        self._nearest = found[0]
+        return found[0]
 
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> Array:
         """Return how well the database knows each of the next postures, in [0, 1].
 
-        It is 1 up to a distance (root mean square over the reliable joints) that the
-        spacing of the database and the sensor's error explain, and 0 from twice that.
+        1 up to the RMS distance of reliable joints that the spacing of the database and
+        the sensor's error explain; 0 from twice that.
         """
         seen = np.where(reliability[..., None] > 0.0, measured, 0.0)
         apart = self.database.positions[nearest] - seen[:, None]
@@ -210,8 +204,7 @@ class LocalPCA(Corrector):
     def orientation(self, postures: Array, nearest: Indices, weights: Array) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B).
 
-        Postures [m] are (T, J, 3), neighbors (T, K), weights (T, J), rotations, wxyz,
-        (T, J, 4).
+        Postures [m] (T, J, 3), neighbors (T, K), weights (T, J); wxyz, (T, J, 4).
         """
         apart = self.database.positions[nearest] - postures[:, None]
         shares = 1.0 / (np.vecdot(apart, apart) @ weights[..., None] + 1e-4)

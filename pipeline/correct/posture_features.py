@@ -54,10 +54,10 @@ class PostureFeatures:
         self.limbs = self.joints[len(trunk) :]  # those of arms and legs
         rows = {int(j): k for k, j in enumerate(self.joints)}
         known = np.arange(len(rows))
-        self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])
+        self._mirror = np.array([rows[j] for j in skeleton.mirror[self.joints]])
         side = [(part in _HIDDEN) * sign for part in _LIMBS for sign in (1, -1)]
+        # 1 for left joints that the body can hide, -1 for right ones, 0 for others.
         self.sides = np.array([*np.zeros(len(trunk)), *side])
-        """1 for left joints that the body can hide, -1 for right ones, 0 for others."""
         # Segments between known joints skip the joint that only some sensors have.
         parents = skeleton.parents
         above = [parents[j] for j in self.joints[1:]]
@@ -69,9 +69,9 @@ class PostureFeatures:
         carrier = dict(rows)
         for j in skeleton.order:
             carrier.setdefault(j, carrier.get(parents[j], 0))
+        # The known joint with which each joint moves: itself, or one of its limb.
         self.carrier = np.array([carrier[j] for j in range(len(skeleton))])
-        """The known joint with which each joint moves: itself, or one of its limb."""
-        self._hips = [rows[int(j)] for j in skeleton.hips]
+        self._hips = [rows[j] for j in skeleton.hips]
         size = 3 * len(known)
         count = 3 * size + len(known) - 1 + 2
         order, signs = np.arange(count), np.ones(count)
@@ -81,15 +81,14 @@ class PostureFeatures:
         order[3 * size : -2] = 3 * size + self._mirror[1:] - 1
         signs[-2] = -1.0
         self.mirror = (order, signs)  # of the features of the mirror image
+        # Of live motion: all but the movement until later frames.
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
-        """The features of live motion: all but the movement until later frames."""
-        self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
+        self.parts = [_part(*part, size, count) for part in _PARTS]
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)
         self._slots = np.array([corrected.index(j) for j in left])
         sizes = [len(part.joints) for part in self.parts]
-        self.part_of = np.repeat(np.arange(len(sizes)), sizes)[self._slots]
-        """Index of the part of each known joint, shape (M,)."""
+        self.part_of = np.repeat(np.arange(3), sizes)[self._slots]  # index, (M,)
         self.is_right = left != known  # of the known joints, shape (M,)
         self._share = np.where(self._mirror == known, 0.5, self.is_right)[:, None]
 
