@@ -300,13 +300,13 @@ class _Offsets(NamedTuple):
 
 
 def _share_of_constant(similar: Array, toward: Array) -> Array:
-    """Return the share of the constant offset, that of the front, to apply, (..., 1)."""
+    """Return the share of the constant offset, that of frontal views, to apply."""
     off_frontal = _off_frontal_share(toward[..., :1], similar)
     return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:
-    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training data."""
+    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training."""
     off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
     return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
 

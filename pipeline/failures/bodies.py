@@ -32,9 +32,8 @@ _SINKING = 0.25  # s that a body takes to sink so far, or to come up again
 class ImpossibleBodies:
     """Frame-by-frame detector of bodies of another size or at an impossible place.
 
-    It knows only the past. A person who stays elsewhere, or stays at another size, is
-    accepted after half a second. A person who stays elsewhere is also accepted as soon
-    as they have been there for longer than they were at the place before.
+    A person who stays elsewhere, or stays at another size, is accepted after half a
+    second; elsewhere also once they stay for longer than at the place before.
     """
 
     appears: bool
@@ -67,9 +66,7 @@ class ImpossibleBodies:
     def _has_wrong_size(self, size: float, time: float) -> bool:
         if np.isnan(size):
             return False
-        sizes = self._sizes
-        if not sizes:
-            sizes.extend([(time, 1.0)] * _PRIOR_FRAMES)
+        sizes = self._sizes = self._sizes or deque([(time, 1.0)] * _PRIOR_FRAMES)
         while sizes and sizes[0][0] < time - 2.0 * _BRIEF:
             sizes.popleft()
         sizes.append((time, size))
@@ -96,10 +93,7 @@ def _is_reachable(seen: tuple[float, Array] | None, time: float, place: Array) -
 
 
 def _lower_median(values: Array) -> Array:
-    """Return the lower median along axis 0 ignoring NaN; NaN where all values are.
-
-    For a few rows, ``np.nanmedian`` takes five times as long.
-    """
+    """Return the lower median along axis 0 without NaN; ``np.nanmedian`` is slow."""
     ordered = np.sort(values, axis=0)
     known = np.count_nonzero(ordered == ordered) // max(ordered[0].size, 1)
     return np.asarray(ordered[max(known - 1, 0) // 2])
@@ -120,10 +114,7 @@ def stray_joints(positions: Array, middle: Array) -> Flags:
 
 
 def sunken_frames(take: Take) -> Flags:
-    """Return the frames in which the body sinks through the floor for a moment, (T,).
-
-    A tracker that loses a person behind another one may let the body fall.
-    """
+    """Return the frames in which the body briefly sinks through the floor, (T,)."""
     skeleton, time = take.skeleton, take.time
     hips = take.positions[:, skeleton.root, 1]
     ankles = take.positions[:, list(skeleton.sides("Ankle")), 1]

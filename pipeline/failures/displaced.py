@@ -51,5 +51,5 @@ def find_displaced(
                         far[part] |= uniform_filter1d(away[part], frames) > _FAR
             what = FailureKind.DISPLACED, f"{side.lower()} {limb}"
             for part in parts:
-                for failure in stretches(time[part], *what, far[part]):
-                    yield failure.moved(part.start)
+                found = stretches(time[part], *what, far[part])
+                yield from (failure.moved(part.start) for failure in found)
