@@ -26,9 +26,9 @@ def bridge(values: Array, known: Flags, rate: float) -> Array:
     """Return values with their gaps bridged smoothly from both ends, shape (T, C).
 
     Whittaker's smoother with second differences (Eilers 2003) minimizes the sum of
-    |z - y|^2 over known frames plus lambda times the sum of |second difference|^2. In
-    gaps much longer than a second, it approaches the straight line between the ends.
-    ``known`` (T,) is True for known frames, at least one; the frame rate is in Hz.
+    |z - y|^2 over ``known`` frames (T,), at least one, plus lambda times that of
+    |second difference|^2. In gaps much longer than a second, it approaches the straight
+    line between the ends. The frame rate is in Hz.
     """
     seen = np.flatnonzero(known)
     first, last = seen[0], seen[-1] + 1
@@ -59,8 +59,8 @@ def _between(values: Array, known: Flags, rate: float) -> Array:
     weights = np.where(known, 1.0, stiffness / (_FORGET * rate) ** 4)
     bands = penalty(np.full(len(values) - 2, stiffness), (1.0, -2.0, 1.0))
     bands[0] += weights
-    line = np.stack(lines, axis=1)
-    solved = solveh_banded(bands, weights[:, None] * line, lower=True)
+    right = weights[:, None] * np.stack(lines, axis=1)
+    solved = solveh_banded(bands, right, lower=True)
     return np.where(known[:, None], values, solved)
 
 

@@ -23,8 +23,8 @@ def planted_height(heights: Array) -> float:
 def planted_likelihood(ankle: Array, rate: float, floor: float) -> Array:
     """Return how likely an ankle is planted at one end of a gap, in [0, 1], (...).
 
-    ``ankle`` (..., N, 3) holds its positions there [m], world frame, at a frame rate of
-    ``rate`` [Hz]; ``floor`` is the height of a planted ankle [m].
+    ``ankle`` (..., N, 3) holds its positions there [m], world frame, at a rate [Hz];
+    ``floor`` is the height of a planted ankle [m].
     """
     steps = np.linalg.norm(np.diff(ankle, axis=-2), axis=-1)
     speed = rate * np.median(steps, axis=-1)
@@ -38,9 +38,8 @@ def held_ankle(
     """Return where a hidden ankle is held [m], and how firmly, in [0, 1].
 
     ``last`` and ``after`` (None if unknown) are its positions before and after the gap
-    [m], world frame, shape (..., 1, 3); ``planted`` are the likelihoods that it is
-    planted there, (..., 1) each. ``time`` (2, ..., N) holds the times since it was seen
-    and until it is next seen [s].
+    [m], world frame, (..., 1, 3), ``planted`` the likelihoods that it is planted there,
+    (..., 1), and ``time`` those since and until it is seen [s], (2, ..., N).
     """
     since, until = time
     if after is None:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame, find_yaw
@@ -60,7 +60,7 @@ def fill_hidden(
         if not _ahead(backward, gap):
             _fill_limb(backward, gap, limb, prior)
     for joints in limbs(skeleton):
-        _place_middle(seen, hidden, joints)
+        _place_middle(seen, hidden, *joints)
     filled = seen.heading.restore(seen.positions)
     trust = _trust(time, hidden)
     trust[np.isnan(positions[..., 0])] = 1.0
@@ -76,9 +76,8 @@ def _trust(time: Array, hidden: Flags) -> Array:
     for j in np.flatnonzero(hidden.any(axis=0)):
         seen = time[~hidden[:, j]]
         k = np.searchsorted(seen, time)
-        before = time - seen[np.maximum(k - 1, 0)]
-        after = seen[np.minimum(k, len(seen) - 1)] - time
-        far[:, j] = np.minimum(np.abs(before), np.abs(after))
+        ends = seen[np.maximum(k - 1, 0)], seen[np.minimum(k, len(seen) - 1)]
+        far[:, j] = np.abs(time - np.array(ends)).min(axis=0)
     return 1.0 - smooth_step((far - _BELIEVED) / _BELIEVED)
 
 
@@ -94,10 +93,9 @@ def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> Bridged
         root = _bridged(root, there[:, skeleton.root], rate, stretches)
     yaw = find_yaw(positions, there.astype(float), skeleton)
     facing = ~np.isnan(yaw)
-    if not facing.any():
-        yaw, facing = np.zeros(len(yaw)), ~facing
-    yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
-    heading = HeadingFrame(root, yaw)
+    if facing.any():
+        yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
+    heading = HeadingFrame(root, yaw if facing.any() else np.zeros(len(yaw)))
     placed, parents = heading.remove(positions), np.array(skeleton.parents)
     bones = placed - placed[:, parents]
     known = there & there[:, parents]
@@ -121,7 +119,7 @@ def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> Bridged
             directions[:, j] = unit(bridged)
         follows = placed[:, parent] + lengths[j] * directions[:, j]
         placed[:, j] = np.where(there[:, j, None], placed[:, j], follows)
-    ankles = [limb[2] for limb in limbs(skeleton)[1::2]]
+    ankles = skeleton.sides("Ankle")
     floor = planted_height(heading.restore(placed)[:, ankles, 1][there[:, ankles]])
     joined, breaks = steps < max(PAUSE, 1.5 / rate), steps >= _BREAK
     joined[0] = False
@@ -137,8 +135,7 @@ def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -
         if known[part].any():
             bridged[part] = bridge(values[part], known[part], rate)
         else:
-            nearest = seen[np.argmin(np.abs(seen - part.start))]
-            bridged[part] = values[nearest]
+            bridged[part] = values[seen[np.argmin(np.abs(seen - part.start))]]
     return bridged
 
 
@@ -161,7 +158,7 @@ def _ahead(seen: BridgedMotion, gap: slice) -> bool:
 
 def _fill_limb(seen: BridgedMotion, gap: slice, limb: Limb, prior: MotionPrior) -> None:
     """Fill a gap of a limb in ``seen``, in place."""
-    length, ahead = gap.stop - gap.start, _ahead(seen, gap)
+    length, ahead, recall = gap.stop - gap.start, _ahead(seen, gap), None
     long = length > SHORTEST * seen.rate
 
     def described(frames: slice) -> Descriptions:
@@ -169,14 +166,11 @@ def _fill_limb(seen: BridgedMotion, gap: slice, limb: Limb, prior: MotionPrior) 
         stretch = Stretches(seen, limb, start, length, at, ahead)
         return prior.describe(stretch) if long else describe(stretch)
 
-    recall = None
     if long:
         some = described(slice(None, None, max(length // _QUERIES, 1))).features[0]
         recall = learn(seen, limb, length, some, prior, ahead=ahead, gap=gap.start)
-    parts = []
-    for first in range(0, length, _AT_ONCE):
-        found = described(slice(first, first + _AT_ONCE))
-        parts.append((recall(found) if recall is not None else found.base)[0])
+    found = [described(frames) for frames in chunks(length, _AT_ONCE)]
+    parts = [(recall(part) if recall else part.base)[0] for part in found]
     directions = np.concatenate(parts)
     before = seen.directions[gap].copy()
     for k, j in enumerate(limb.hidden):
@@ -201,12 +195,11 @@ def _place(seen: BridgedMotion, gap: slice, limb: Limb, before: Array) -> None:
 
 
 def _place_middle(
-    seen: BridgedMotion, hidden: Flags, limb: tuple[int, int, int]
+    seen: BridgedMotion, hidden: Flags, top: int, middle: int, end: int
 ) -> None:
     """Put hidden elbows and knees between the visible ends of their limb."""
-    _, middle, end = limb
     frames = hidden[:, middle] & ~hidden[:, end]
-    if frames.any() and np.isfinite(seen.lengths[[middle, end]]).all():
-        lengths = (seen.lengths[middle], seen.lengths[end])
-        first, inner, last = np.moveaxis(seen.positions[frames][:, limb], 1, 0)
-        seen.positions[frames, middle] = middle_joint(first, inner, last, lengths)[0]
+    lengths = (seen.lengths[middle], seen.lengths[end])
+    if frames.any() and np.isfinite(lengths).all():
+        points = [seen.positions[frames, j] for j in (top, middle, end)]
+        seen.positions[frames, middle] = middle_joint(*points, lengths)[0]

@@ -123,8 +123,7 @@ class HiddenLimbTracker:
                 self._gaps.pop(limb, None)
         filled = self._placed(placed, there, self._directions[k])
         self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])
-        self._count += 1
-        placeable = self._ever | pointed
+        self._count, placeable = k + 1, self._ever | pointed
         found = heading.restore(self._positions[k])
         return np.where(placeable[:, None], found, positions), hidden & placeable
 
@@ -161,7 +160,7 @@ class HiddenLimbTracker:
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
             since = (k, time) if gap is None else (gap.start, gap.time)
-            ankles = [ends[2] for ends in self._limbs[1::2]]
+            ankles = skeleton.sides("Ankle")
             heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
             standing = standing_height(self._root[: k + 1, 1])
             gap = _Gap(limb, *since, planted_height(heights), standing)
@@ -176,7 +175,7 @@ class HiddenLimbTracker:
             gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
         if gap.recall is not None and gap.learned is not None:
-            share = smooth_step(np.array(min((time - gap.learned) / _FADES, 1.0)))
+            share = smooth_step(np.array((time - gap.learned) / _FADES))
             continued = unit(continued + share * (gap.recall(found)[0] - continued))
         before, end = directions.copy(), limb.hidden[-1]
         directions[list(limb.hidden)] = continued[0]
@@ -187,22 +186,19 @@ class HiddenLimbTracker:
                     directions[j] = rotate(turn, before[j])
 
     def _motion_so_far(self, count: int, gap: _Gap) -> BridgedMotion:
-        skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
-        positions, directions = self._positions[:count], self._directions[:count]
-        flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
-        arrays = (positions, directions, *flags, lengths)
-        return BridgedMotion(skeleton, rate, heading, *arrays, gap.floor, gap.standing)
+        log = (self._positions, self._directions, self._known, self._joined)
+        arrays = (*(array[:count] for array in log), np.zeros(count, np.bool_))
+        rest = self._body.lengths, gap.floor, gap.standing
+        return BridgedMotion(self._body.skeleton, rate, heading, *arrays, *rest)
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""
-        k = self._count
-        back = self._filled & ~hidden
-        if back.any():
-            self._offset[back] = self._positions[k - 1][back] - filled[back]
-            self._since[back] = 0.0
+        k, back = self._count, self._filled & ~hidden
+        self._offset[back] = self._positions[k - 1][back] - filled[back]
+        self._since[back] = 0.0
         self._filled = hidden.copy()
         self._since += elapsed if k else 0.0
         joining = (self._since < _JOINS) & ~hidden

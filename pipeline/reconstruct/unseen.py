@@ -25,11 +25,10 @@ _SMOOTHED = 0.2  # s: standard deviation of the filter over predicted directions
 def point_unseen(
     bones: Array, unseen: Flags, lower: Array, body: Body, prior: MotionPrior
 ) -> Flags:
-    """Point the segments of unseen limbs to where they likely are, in place.
+    """Point the segments of ``unseen`` limbs (J,) to where they likely are, in place.
 
-    ``bones`` (..., J, 3) and ``lower`` (...) are as for ``posture_inputs``; ``unseen``
-    are joints that have not been seen, shape (J,). Returns the segments that now have
-    directions, (J,): of limbs that are unseen from some joint on.
+    ``bones`` (..., J, 3) and ``lower`` (...) are as for ``posture_inputs``. Returns the
+    segments that now have directions, (J,).
     """
     known, skeleton = bones.copy(), body.skeleton
     known[..., unseen, :] = np.nan

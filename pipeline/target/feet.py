@@ -1,8 +1,8 @@
 """Stance detection, and feet that stay in place while planted and are lifted to step.
 
-Time stamps [s] are strictly increasing, shape (T,); joint positions [m] have y up and
-shape (T, J, 3); confidence has shape (T, J); ``stands`` says whether each foot is
-planted, shape (T, 2), left and right.
+Time stamps [s] increase strictly, (T,); joint positions [m] have y up, (T, J, 3);
+confidence is (T, J); ``stands`` says whether each foot is planted, left and right,
+(T, 2).
 """
 
 from itertools import pairwise
@@ -70,13 +70,11 @@ def find_stance(
     """Return the frames in which each foot is planted, (T, 2), left and right.
 
     A foot is planted while its ankle rests and is no higher than the other. Viterbi's
-    algorithm finds the most probable sequence of planted and stepping frames; every
-    change has a cost, which makes it a hysteresis that looks ahead. Between two
-    stances, one foot hands the body over to the other.
+    algorithm finds the most probable sequence; every change has a cost, which makes it
+    a hysteresis that looks ahead. Between stances, feet hand the body over.
     """
     ankles, _ = ankles_and_toes(skeleton)
-    weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
-    paths = smooth(time, positions[:, ankles], weights, cutoff=_CUTOFF)
+    paths = _smoothed(time, positions, confidence, ankles)
     speed, step, height = np.zeros(paths.shape[:2]), 1.0 / _RATE, paths[..., 1]
     if len(time) > 1:
         speed = np.linalg.norm(np.gradient(paths, time, axis=0), axis=2)
@@ -87,6 +85,13 @@ def find_stance(
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
     return _handed_over(time, positions, confidence, _unloaded(time, stands), skeleton)
+
+
+def _smoothed(
+    time: Array, positions: Array, confidence: Array, joints: list[int]
+) -> Array:
+    weights = np.maximum(confidence[:, joints], _LEAST_WEIGHT)
+    return smooth(time, positions[:, joints], weights, cutoff=_CUTOFF)
 
 
 def planted_feet(contacts: Flags) -> Flags:
@@ -116,11 +121,10 @@ def _most_probable(log_odds: Array) -> Flags:
 
 
 class StanceTracker:
-    """Stance detector for live motion, frame by frame without look-ahead.
+    """Stance detector for live motion, without look-ahead; odds as in ``find_stance``.
 
-    The odds are those of ``find_stance``. A change needs as much evidence as it costs
-    there, and speed is averaged over a tenth of a second. A foot that moved away from
-    where it landed no longer stands.
+    A change needs as much evidence as it costs there. A foot that moved away from where
+    it landed no longer stands.
     """
 
     def __init__(self) -> None:
@@ -133,8 +137,7 @@ class StanceTracker:
     def step(self, ankles: Array, flat: float, dt: float) -> Flags:
         """Return whether each foot is planted in a frame ``dt`` [s] later, shape (2,).
 
-        Ankle positions [m], shape (2, 3), have the floor at y = 0; ``flat`` is the
-        height of the ankle of a foot that is flat on it [m].
+        Ankles [m] (2, 3) have the floor at y = 0; ``flat`` is ``flat_height`` [m].
         """
         if self._paths is None:
             self._paths, self._places = ankles.copy(), ankles.copy()
@@ -155,8 +158,8 @@ class StanceTracker:
     def lift(self, toes: Array, soles: Array, dt: float) -> Array:
         """Return by how much to lift each foot [m] so that none slides, shape (2,).
 
-        To be called after ``step``. Toe positions [m], shape (2, 3), have the floor at
-        y = 0; ``soles`` is the height of toes that rest on it [m], shape (2,).
+        To be called after ``step``. Toes [m] (2, 3) have the floor at y = 0; ``soles``
+        are the heights of toes that rest on it [m], shape (2,).
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
@@ -189,10 +192,9 @@ def _handed_over(
 ) -> Flags:
     """Return stances extended so that each foot hands the body over to the other.
 
-    People who do not jump always have a foot on the floor. Between a stance of one foot
-    and the next of the other, the first bears until the second does, where their toes
-    are nearest to these places. No foot bears farther than ``_AT_REST`` from its place,
-    nor where less than a step (``_STEP``) of its own would remain.
+    Who does not jump always has a foot on the floor: one bears until the other does,
+    where toes are nearest to these places. No foot bears farther than ``_AT_REST``
+    from its place, nor where less than a step (``_STEP``) of its own would remain.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -200,8 +202,7 @@ def _handed_over(
     trunk = positions[:, [skeleton.root, skeleton.girdle]].mean(axis=1, keepdims=True)
     height = smooth(time, trunk, np.ones(trunk.shape[:2]), cutoff=_CUTOFF)[:, 0, 1]
     acceleration = np.gradient(np.gradient(height, time), time)
-    weights = np.maximum(confidence[:, toes], _LEAST_WEIGHT)
-    paths = smooth(time, positions[:, toes], weights, cutoff=_CUTOFF)
+    paths = _smoothed(time, positions, confidence, toes)
     for gap in runs(np.asarray(~stands.any(axis=1))):
         inside = gap.start > 0 and gap.stop < len(time)
         if inside and acceleration[gap].min() > _FREE_FALL:
@@ -217,8 +218,7 @@ def _hand_over(
 ) -> tuple[float, Flags]:
     """Return a cost, and the stances of a gap, (N, 2), where a foot hands over.
 
-    The cost is how far toes, of which ``paths`` (T, 2, 3) are given, are from the place
-    of the foot that bears, summed over the frames [m].
+    The cost is how far the toes that bear are from their place, summed over frames [m].
     """
     before, after, other = gap.start - 1, gap.stop, 1 - foot
     around = time[before] - _STEP, time[after] + _STEP
@@ -244,8 +244,8 @@ def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     points, count = path[stance], stance.stop - stance.start
     if count < 4:
         return
-    away = points - np.median(points, axis=0)
-    if np.linalg.norm(away, axis=1).max() < _DRIFT:
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    if away.max() < _DRIFT:
         return
     # The frame that best splits the path into two resting places.
     sums = np.cumsum(points, axis=0)
@@ -274,28 +274,25 @@ def plant_feet(
     Ankle and toes of a planted foot stay at their weighted median with the sole on the
     floor, which is at y = 0; the heel rises only where the ankle is higher than
     Kinect's errors lift it. A stepping foot follows the measurement, moved so that it
-    leaves and arrives where it is planted, and lifted where it is fast.
-
-    Heels are down where ``heels``, shape (T, 2), says so, and elsewhere as measured;
-    the second result has them all, shape (T, 2).
+    leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
+    are down where ``heels`` says so, and elsewhere as measured.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
-        stances = runs(stands[:, foot])
+        still = stands[:, foot]
+        stances = runs(still)
         if not stances:
             continue
-        path = positions[:, [ankle, toe]]
-        flat = flat_height(body, toe)
+        path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
         rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
         if heels is not None:
             rise[heels[:, foot]] = 0.0
-        down[:, foot] = stands[:, foot] & (rise < _HEEL_DOWN)
-        resting = [
-            _resting(path[s], confidence[s, ankle], rise[s], body, toe) for s in stances
-        ]
-        path = _joined(time, path, resting, stances)
-        still = stands[:, foot]
+        down[:, foot] = still & (rise < _HEEL_DOWN)
+        weights, joined = confidence[:, ankle], path.copy()
+        for s in stances:
+            joined[s] = _resting(path[s], weights[s], rise[s], body, toe)
+        path = _joined(time, path, joined, stances)
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
         path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
@@ -327,44 +324,34 @@ def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> 
     return rest
 
 
-def _joined(
-    time: Array, path: Array, resting: list[Array], stances: list[slice]
-) -> Array:
-    """Return stances and the steps between them [m], shape (T, 2, 3).
+def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
+    """Fill the steps between stances into ``joined`` [m], shape (T, 2, 3).
 
-    A step is the measured one, moved; while the foot is lifted and set down it stays
-    over the place where it is planted.
+    A step is the measured one, moved, but stays over its place when up and down.
     """
-    joined = path.copy()
-    for rest, stance in zip(resting, stances, strict=True):
-        joined[stance] = rest
-    moves = joined - path
+    moves, count = joined - path, len(path)
     # Before the first stance and after the last there is only one end to fit.
-    for before, after in pairwise([None, *stances, None]):
-        first = 0 if before is None else before.stop
-        last = len(path) if after is None else after.start
-        gap, over = slice(first, last), time[first:last, None, None]
-        leave = moves[last if before is None else first - 1]
-        step = path[gap] + leave
-        if before is not None and after is not None:
+    for before, after in pairwise([slice(0, 0), *stances, slice(count, count)]):
+        first, last = before.stop, after.start
+        over = time[first:last, None, None]
+        leave = moves[first - 1 if first else last]
+        step = path[first:last] + leave
+        if first and last < count:
             duration = time[last] - time[first - 1]
             share = smooth_step((over - time[first - 1]) / duration)
             step = step + share * (moves[last] - leave)
-        if before is not None:
+        if first:
             free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[first - 1]
-        if after is not None:
+        if last < count:
             free = smooth_step((time[last] - over - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[last]
-        joined[gap] = step
+        joined[first:last] = step
     return joined
 
 
 def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
-    """Return the height by which to lift ankle or toes of a foot [m], shape (T,).
-
-    ``part`` is where they are, shape (T, 3), and ``sole`` how high on the floor.
-    """
+    """Return by how much to lift ankle or toes (T, 3), ``sole`` high at rest [m]."""
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(part[:, [0, 2]], axis=0), axis=1) / steps
     fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])

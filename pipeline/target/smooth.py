@@ -104,7 +104,7 @@ def _root_mean_square(vectors: Array, frames: float) -> Array:
     odd = 2 * round(0.5 * (frames - 1.0)) + 1  # an even number would shift time
     mean = uniform_filter1d(np.sum(vectors**2, axis=1), max(odd, 1))
     # The filter keeps a running sum, which rounding can make negative.
-    return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
+    return np.sqrt(np.maximum(mean, 0.0))
 
 
 def _grid(time: Array) -> tuple[Indices, float]:
@@ -121,10 +121,7 @@ def _stiffness(cutoff: Any, step: float) -> Any:
 
 
 def _solve(bands: Array, grid: Indices, values: Array, weights: Array) -> Array:
-    """Return the smoothed path of a joint in all frames of the grid, (length, C).
-
-    ``bands`` are those of the penalty, shape (order + 1, length).
-    """
+    """Return the smoothed path of a joint, given the penalty's bands, (length, C)."""
     system, right = bands.copy(), np.zeros((bands.shape[1], values.shape[1]))
     system[0, grid] += weights
     right[grid] = weights[:, None] * values

@@ -47,14 +47,11 @@ _FRAMES = 5000  # to look at: enough for medians
 
 @dataclass(frozen=True)
 class Turn:
-    """Rotation of a sensor's frame that makes the person stand upright."""
+    """Rotation of a sensor's frame that makes people stand upright (``leveled``)."""
 
-    roll: float = 0.0
-    """Angle about z [rad], applied first; see ``leveled``."""
-    tilt: float = 0.0
-    """Angle about x [rad], applied second."""
-    doubt: str = ""
-    """Warning that the frame may be wrong, although it was left as it is."""
+    roll: float = 0.0  # angle about z [rad], applied first
+    tilt: float = 0.0  # angle about x [rad], applied second
+    doubt: str = ""  # warning that the frame may be wrong, although left as it is
 
     def notes(self, leveled: float = 0.0) -> tuple[str, ...]:
         """Return notes for the user; the frame was also leveled by an angle [rad]."""
@@ -82,11 +79,6 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) ->
         return Turn()
     if _mirrored(positions, skeleton):
         return Turn(doubt=_MIRRORED)
-    return _turn_from(along, straight, down, least)
-
-
-def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
-    """Return the turn for postures as ``_posture`` returns them."""
     enough = max(least, _MIN_SHARE * len(along))
     stands, ordinary = straight.all(axis=1), _ORDINARY["both"]
     if stands.sum() < enough:
@@ -148,12 +140,11 @@ def _posture(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]
 
 
 def posture_of(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]:
-    """Return how the person stands.
+    """Return how the person stands, whichever way the frame is turned.
 
     The direction from the feet to the shoulders (T, 3), NaN without feet or trunk;
     whether each leg is straight and in line with the trunk (T, 2); and the share of its
-    length by which each arm reaches down along the body (T, 2). None depends on which
-    way the frame is turned.
+    length by which each arm reaches down along the body (T, 2).
     """
     ankle, knee, hip, shoulder, elbow, wrist = (
         positions[:, skeleton.sides(part)]
@@ -180,5 +171,5 @@ def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
     front = np.cross((left - right)[:, :2].sum(axis=1), up)
     toes = (left + right)[:, 3] - (left + right)[:, 2]
     cosines = np.sum(unit(front) * unit(toes), axis=1)
-    cosines = cosines[~np.isnan(cosines)]
-    return bool(len(cosines) and np.median(cosines) < _BACKWARDS)
+    known = cosines[~np.isnan(cosines)]
+    return bool(len(known) and np.median(known) < _BACKWARDS)
