@@ -38,16 +38,11 @@ class Observation(_Arrays):
     For a whole take, every array except ``lengths`` has a leading axis T.
     """
 
-    positions: Array
-    """Joint positions [m], NaN where missing, shape (J, 3)."""
-    reliability: Array
-    """Reliability in [0, 1], shape (J,)."""
-    geometry: Array
-    """Reliability without the tracking state, shape (J,)."""
-    time: Any = 0.0
-    """Time stamp [s]; for a take strictly increasing, shape (T,)."""
-    lengths: Array | None = None
-    """The person's own segment lengths [m], shape (J,)."""
+    positions: Array  # joint positions [m], NaN where missing, shape (J, 3)
+    reliability: Array  # reliability in [0, 1], shape (J,)
+    geometry: Array  # reliability without the tracking state, shape (J,)
+    time: Any = 0.0  # time stamp [s]; for a take strictly increasing, shape (T,)
+    lengths: Array | None = None  # the person's own segment lengths [m], shape (J,)
     sensor: Array | None = None
     """Position of the sensor [m] in the heading frame, shape (3,)."""
 

@@ -27,13 +27,11 @@ class OneEuro(Corrector):
 
     skeleton: Skeleton
     _: KW_ONLY
-    min_cutoff: float = 1.0
-    """Cutoff at rest [Hz]."""
+    min_cutoff: float = 1.0  # cutoff at rest [Hz]
     beta: float = 16.0
     """Rise of the cutoff with speed [1/m]. In steady motion a joint lags by less than
     1 / (2 pi beta)."""
-    derivative_cutoff: float = 1.0
-    """Cutoff of the speed itself [Hz]."""
+    derivative_cutoff: float = 1.0  # cutoff of the speed itself [Hz]
     walking_speed: float = np.inf
     """Speed of the root [m/s] above which it carries other joints along: each is
     filtered relative to the part of the root's velocity that it shares. Thus the trunk

@@ -38,14 +38,10 @@ class PostureDatabase:
 
     positions: Singles
     """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
-    rotations: Singles
-    """Segment rotations in the same frame, wxyz, shape (N, J, 4)."""
-    labels: NDArray[np.str_]
-    """Name of the motion of each posture, shape (N,)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str = "database"
-    """Where the database came from, for messages."""
+    rotations: Singles  # segment rotations in the same frame, wxyz, shape (N, J, 4)
+    labels: NDArray[np.str_]  # name of the motion of each posture, shape (N,)
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    source: str = "database"  # where the database came from, for messages
     recorded: bool = False
     """True if the postures, and thus their variation, are those of recorded people."""
 

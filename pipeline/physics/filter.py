@@ -29,10 +29,8 @@ class PhysicsTrace:
     """Record of a simulation, frame by frame; arrays of shape (T,)."""
 
     tracking_error: Array  # mean distance of the joints from their targets [m]
-    external_force: Array
-    """Mean force over the frame that only the pulls explain [body weights]."""
-    contacts: NDArray[np.int64]
-    """Number of points in which the character touches itself or anything else."""
+    external_force: Array  # mean over the frame, that only the pulls explain [weights]
+    contacts: NDArray[np.int64]  # points in which it touches itself or anything else
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
     or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
@@ -63,10 +61,8 @@ class Performance:
     time: Array  # time stamps [s], strictly increasing, shape (T,)
     positions: Array
     rotations: Array
-    stands: Flags | None = None
-    """Whether each foot (left, right) bears weight, shape (T, 2); None if none does."""
-    seen: Flags | None = None
-    """Whether the sensor saw each hand, shape (T, 2); None if it always did."""
+    stands: Flags | None = None  # which feet bear weight, (T, 2); None if none does
+    seen: Flags | None = None  # which hands the sensor saw, (T, 2); None if always both
 
 
 class _Cue:
@@ -103,12 +99,17 @@ class _Cue:
     def target(self, k: int) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations (J, 4) at a time stamp."""
         person, share = self._person, self._share[k]
-        one, two = self._before[k], self._after[k]
+        there, turns = (
+            person.positions[self._after[k]],
+            person.rotations[self._after[k]],
+        )
         if share == 1.0:
-            return person.positions[two], person.rotations[two]
-        ends = person.positions[one], person.positions[two]
-        turns = slerp(person.rotations[one], person.rotations[two], share)
-        return ends[0] + share * (ends[1] - ends[0]), turns
+            return there, turns
+        one, turned = (
+            self._before[k],
+            slerp(person.rotations[self._before[k]], turns, share),
+        )
+        return person.positions[one] + share * (there - person.positions[one]), turned
 
     def stands(self, k: int) -> Flags | None:
         """Return which feet bear weight."""
@@ -121,30 +122,25 @@ class _Cue:
         changes = character.compliance is not None or character.grasp.props
         if not changes and self._is_own[k] and self._is_own[k - 1]:
             return self._own_move(after)
-        gained = self._accelerations[after]
-        if not self._is_own[k]:
-            gained = np.zeros_like(gained)
+        gained = np.where(self._is_own[k], self._accelerations[after], 0.0)
         seen = None if self._person.seen is None else self._person.seen[after]
         return character.plan(*self.target(k), dt, acceleration=gained, seen=seen)
 
     def _own_move(self, frame: int) -> Move:
-        """Return the move to one of the person's frames from the frame before.
-
-        Nothing changes these targets, so they are planned many at a time.
-        """
+        """Return the move to one of the person's frames, planned many at a time."""
         chunk, row = divmod(frame, _CHUNK)
         if self._planned is None or self._planned[0] != chunk:
-            there = np.arange(len(self._person.time))[chunk * _CHUNK :][:_CHUNK]
+            person = self._person
+            there = np.arange(len(person.time))[chunk * _CHUNK :][:_CHUNK]
             back = np.maximum(there - 1, 0)
-            dt = self._person.time[there] - self._person.time[back]
-            positions, rotations = self._person.positions, self._person.rotations
-            moves = self.character.planner(
-                (to_mujoco(positions[back]), to_mujoco(rotations[back])),
-                (to_mujoco(positions[there]), to_mujoco(rotations[there])),
-                to_mujoco(self._accelerations[there]),
-                np.where(dt > 0.0, dt, 1.0),  # the very first is not used
+            before, after = (
+                (to_mujoco(person.positions[k]), to_mujoco(person.rotations[k]))
+                for k in (back, there)
             )
-            self._planned = chunk, moves
+            dt = person.time[there] - person.time[back]
+            dt = np.where(dt > 0.0, dt, 1.0)  # the very first is not used
+            gained = to_mujoco(self._accelerations[there])
+            self._planned = chunk, self.character.planner(before, after, gained, dt)
         return self._planned[1][row]
 
     def record(self, k: int, *, reset: bool) -> None:
@@ -164,11 +160,11 @@ class _Cue:
         target = person.rotations, person.positions[:, body.skeleton.root]
         resets = np.flatnonzero(self._trace.reset)
         bridge_resets(person.time, (self._turns, self._roots), target, resets, body)
-        joints = np.empty_like(self._person.positions)
+        joints = np.empty_like(person.positions)
         for some in chunks(len(joints), _CHUNK):
             pose = self._turns[some], self._roots[some]
-            joints[some] = positions_from_rotations(*pose, self.character.body)
-            away = np.linalg.norm(joints[some] - self._person.positions[some], axis=-1)
+            joints[some] = positions_from_rotations(*pose, body)
+            away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)
             self._trace.tracking_error[some] = away.mean(axis=-1)
         return PhysicsResult(continuous(self._turns), joints, self._trace, self._props)
 

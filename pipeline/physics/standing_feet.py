@@ -17,9 +17,8 @@ _HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, land
 class StandingFeet:
     """Presses planted feet, bodies ``soles`` (2,) of the model, on the floor.
 
-    Muscles act between the body and the feet, so that only the floor carries it.
-    ``weight`` is that of the body [N]; ``lifting`` is the upward force of all pulls in
-    the last substep [N], to be set after each.
+    Muscles act between body and feet, so that only the floor carries a ``weight`` [N].
+    ``lifting`` is the upward force of all pulls in a substep [N], to be set after each.
     """
 
     def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:

@@ -42,8 +42,7 @@ stand in more frames, but legs are 1 % farther from where another sensor sees th
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
-PLANTED = 120.0
-"""Bone weight of a planted foot; a measured joint has 1."""
+PLANTED = 120.0  # bone weight of a planted foot; a measured joint has 1
 STEPPING = 3.0
 """Least bone weight of other feet. With 1, legs that get longer push heels back down,
 which drag in 6 % of the frames in which p00, p04 and p08 of two-kinects walk; knees are
