@@ -98,18 +98,11 @@ class _Cue:
 
     def target(self, k: int) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations (J, 4) at a time stamp."""
-        person, share = self._person, self._share[k]
-        there, turns = (
-            person.positions[self._after[k]],
-            person.rotations[self._after[k]],
-        )
+        share, p, q = self._share[k], self._person.positions, self._person.rotations
+        one, two = self._before[k], self._after[k]
         if share == 1.0:
-            return there, turns
-        one, turned = (
-            self._before[k],
-            slerp(person.rotations[self._before[k]], turns, share),
-        )
-        return person.positions[one] + share * (there - person.positions[one]), turned
+            return p[two], q[two]
+        return p[one] + share * (p[two] - p[one]), slerp(q[one], q[two], share)
 
     def stands(self, k: int) -> Flags | None:
         """Return which feet bear weight."""

@@ -13,6 +13,8 @@ from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
 
+from .holdable import mesh_points
+
 _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
     int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
@@ -92,18 +94,13 @@ class SceneProps:
         kind, sizes = _KINDS[int(model.geom_type[geom])]
         points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
         if kind == "mesh":
-            mesh = model.mesh(model.geom_dataid[geom])
-            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
+            points, mesh = mesh_points(model, geom), model.mesh(model.geom_dataid[geom])
+            points = from_mujoco(points.astype(float))
             first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
             triangles = model.mesh_face[first : first + count].astype(np.int64)
         color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
         if material >= 0 and np.allclose(color, _UNSET):
             color = model.mat_rgba[material]
-        frame = (
-            model.geom_size[geom][sizes],
-            model.geom_pos[geom],
-            model.geom_quat[geom],
-        )
-        rgb = color[:3].astype(float)
-        return Shape(kind, *map(from_mujoco, frame), rgb, points, triangles)
+        place, turn = model.geom_pos[geom], model.geom_quat[geom]
+        frame = map(from_mujoco, (model.geom_size[geom][sizes], place, turn))
+        return Shape(kind, *frame, color[:3].astype(float), points, triangles)
