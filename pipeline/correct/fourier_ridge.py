@@ -168,8 +168,8 @@ class FourierRidge(LearnedCorrector):
     def _predict(self, features: Singles, *, live: bool) -> tuple[Array, Array, Array]:
         """Return offsets [m] (2, T, M, 3), near and far side, and two similarities.
 
-        These are of the posture to frontal and to side-on training data, (T, 2), and of
-        the part of each known joint to its own, (T, M).
+        These are of the whole posture to frontal and to side-on training data, shape
+        (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
         described, (order, signs) = self._posture_features, self._mirrors[live]
         sides = np.concatenate([features, features[:, order] * signs])

@@ -105,11 +105,8 @@ class CorrectorChain(Corrector):
     """Runs several methods one after the other, each on the result of the one before.
 
     Joints that were not measured stay missing for all of them. Confidence, rotations
-    and coverage come from the last method.
-
-    ``least_reliability`` is the minimum reliability of measured joints in the input of
-    the last method: above 0 if the methods before it already correct the joints that
-    the sensor only inferred.
+    and coverage come from the last, whose input has at least ``least_reliability`` for
+    measured joints: above 0 if the methods before already correct inferred ones.
     """
 
     def __init__(self, *methods: Corrector, least_reliability: float = 0.0) -> None:

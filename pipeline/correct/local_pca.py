@@ -186,8 +186,8 @@ class LocalPCA(Corrector):
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> Array:
         """Return how well the database knows each of the next postures, in [0, 1].
 
-        1 up to the RMS distance of reliable joints that the spacing of the database and
-        the sensor's error explain; 0 from twice that.
+        It is 1 up to a distance (root mean square over the reliable joints) that the
+        spacing of the database and the sensor's error explain, and 0 from twice that.
         """
         seen = np.where(reliability[..., None] > 0.0, measured, 0.0)
         apart = self.database.positions[nearest] - seen[:, None]

@@ -151,8 +151,7 @@ class PostureEnergy:
     def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
         """Return the minimum of the energy for each neighbor, shape (K, d).
 
-        The segment lengths are linearized at the point ``latent`` (d,), where the bones
-        are ``bones`` (S, 3) and their lengths ``lengths`` (S,).
+        Segment lengths are linearized at the point ``latent`` (d,), with bones (S, 3).
         """
         directions = bones / np.maximum(lengths, 1e-9)[:, None]
         slope = (directions[:, None] @ self._bone_basis)[:, 0]

@@ -137,11 +137,10 @@ def middles(positions: Array) -> Array:
 
 
 def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
-    """Return the frames with the body at an impossible place, and those where it jumps.
+    """Return the frames with the body at an impossible place, and where it jumps, (T,).
 
-    Both have shape (T,). The frames between two jumps are impossible if they are brief
-    or out of the sensor's range; otherwise the body continues from there, as trackers
-    do jump from one person to another.
+    Frames between two jumps are impossible if they are brief or out of the sensor's
+    range; otherwise the body continues there: trackers do jump to another person.
     """
     wrong, jumps = np.zeros((2, len(take)), dtype=bool)
     middle = middles(take.positions)

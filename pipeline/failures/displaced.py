@@ -30,9 +30,8 @@ def find_displaced(
 ) -> Iterator[Failure]:
     """Yield the stretches in which cleaning moved a limb far relative to the hips.
 
-    Joint positions [m], shape (T, J, 3), are those of the sensor, NaN where missing,
-    and those after cleaning; time stamps [s] increase strictly, shape (T,); ``yaw`` is
-    the heading of the person [rad], shape (T,).
+    Positions [m] (T, J, 3) are those of the sensor, NaN where missing, and those after
+    cleaning; time stamps [s] (T,) increase strictly, and ``yaw`` (T,) is the heading.
     """
     hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)

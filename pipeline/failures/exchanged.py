@@ -74,8 +74,13 @@ def _moved(take: Take, joints: Indices) -> tuple[Array, Array]:
 
 def put_back(take: Take, part: str, frames: slice) -> Take:
     """Return a take with left and right of a part of EXCHANGED put back in frames."""
-    joints, mirrored = exchanged_joints(take.skeleton, part), take.swapped(frames)
-    positions, state = take.positions.copy(), take.state.copy()
-    positions[:, joints] = mirrored.positions[:, joints]
-    state[:, joints] = mirrored.state[:, joints]
+    joints = exchanged_joints(take.skeleton, part)
+    flags = np.isin(np.arange(len(take.skeleton)), joints)
+    return with_joints(take, take.swapped(frames), flags)
+
+
+def with_joints(take: Take, other: Take, joints: Flags) -> Take:
+    """Return a take with flagged joints, (J,) or (T, J), from another one."""
+    positions = np.where(joints[..., None], other.positions, take.positions)
+    state = np.where(joints, other.state, take.state)
     return replace(take, positions=positions, state=state)

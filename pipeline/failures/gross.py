@@ -105,8 +105,7 @@ def find_failures(
     """Return the gross failures in a take, time stamps strictly increasing.
 
     Where edits say ``exchanged``, (T,), sides count as swapped if otherwise they would
-    not, and the other way around. ``distrusted`` joints (T, J), as named after that,
-    have no failures.
+    not, and the other way around; ``distrusted`` joints (T, J) have no failures.
     """
     if len(take) < 2:
         return ()

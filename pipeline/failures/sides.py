@@ -21,6 +21,7 @@ from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import find_yaw
 
+from .exchanged import with_joints
 from .trunk import steadied
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -212,14 +213,15 @@ def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:
     middle = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     before = (np.searchsorted(time, middle - _AROUND, "right") - 1).clip(min=0)
     after = np.searchsorted(time, middle + _AROUND).clip(max=count - 1)
-    costs = []
-    for others, change in ((joints, 0.0), (mirror[joints], _CHANGE)):
+
+    def cost(others: Indices, change: float) -> Array:
         step, leap = (
             _distance(seen[b][:, others], seen[a][:, joints], sure[a] * sure[b])
             for a, b in ((last, now), (before, after))
         )
-        costs.append(0.5 * (_CONTINUITY * (step + change) + _LEAP * leap))
-    return costs[0], costs[1]
+        return np.asarray(0.5 * (_CONTINUITY * (step + change) + _LEAP * leap))
+
+    return cost(joints, 0.0), cost(mirror[joints], _CHANGE)
 
 
 def root_velocity(time: Array, root: Array) -> Array:
@@ -227,30 +229,24 @@ def root_velocity(time: Array, root: Array) -> Array:
     known = np.isfinite(root[:, 0])
     if not known.any():
         return np.zeros_like(root)
-    ends = [
-        np.transpose([np.interp(t, time[known], column[known]) for column in root.T])
-        for t in (time - _STRIDE, time + _STRIDE)
-    ]
-    return np.asarray((ends[1] - ends[0]) / (2.0 * _STRIDE))
+    ends = np.array([time - _STRIDE, time + _STRIDE])
+    places = [np.interp(ends, time[known], column[known]) for column in root.T]
+    return np.asarray(np.diff(places, axis=1)[:, 0].T / (2.0 * _STRIDE))
 
 
 def swapped_back(take: Take, swapped: Flags) -> Take:
     """Return a take with sides swapped back, as from ``swapped_frames`` (T, 2).
 
-    Toes of people whom the sensor takes for others who face it point at the sensor;
-    they are turned to their mirror image in the frontal plane. Hips and shoulders turn
-    evenly where sides change, and where they do not show which way they face.
+    Toes that point at the sensor, as if people faced it, are mirrored in the frontal
+    plane. Hips and shoulders turn evenly where sides change or they show nothing.
     """
-    skeleton, mirrored = take.skeleton, take.swapped()
-    frames, legs = swapped.T
+    skeleton, (frames, legs) = take.skeleton, swapped.T
     behind = np.repeat(frames[:, None], len(skeleton), axis=1)
     behind[:, _below(skeleton, "Hip")] = legs[:, None]
-    positions = np.where(behind[..., None], mirrored.positions, take.positions)
-    state = np.where(behind, mirrored.state, take.state)
-    face = take.face
-    if face is not None:  # nobody has one who is seen from behind
-        face = np.where(frames[:, None], np.nan, face)
-    mended = replace(take, positions=positions, state=state, face=face)
+    mended = with_joints(take, take.swapped(), behind)
+    if take.face is not None:  # nobody has one who is seen from behind
+        face = np.where(frames[:, None], np.nan, take.face)
+        mended = replace(mended, face=face)
     changes = np.flatnonzero(np.diff(frames)) + 1
     positions = steadied(mended, changes.tolist()).positions.copy()
     forward = _direction(_yaw(positions, skeleton)[legs])

@@ -46,8 +46,7 @@ def seen_hands(reliability: Array, skeleton: Skeleton) -> Flags:
 class Grasp:
     """The hands of a character in a scene with props that have ties (``add_ties``).
 
-    At most one prop is held at a time. The names of the character's parts begin with
-    a ``prefix``.
+    They hold one prop at most. Names of the character's parts begin with ``prefix``.
     """
 
     def __init__(self, data: mujoco.MjData, body: Body, prefix: str = "") -> None:

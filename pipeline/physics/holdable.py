@@ -63,16 +63,14 @@ def _corners(data: mujoco.MjData, geom: int) -> Array:
     else:
         middle, half = model.geom_aabb[geom].reshape(2, 3)
         points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
-    return np.asarray(
-        data.geom_xpos[geom] + points @ data.geom_xmat[geom].reshape(3, 3).T
-    )
+    turn = data.geom_xmat[geom].reshape(3, 3)
+    return np.asarray(data.geom_xpos[geom] + points @ turn.T)
 
 
 class Holdable:
-    """A movable prop, with a tie to each hand of the character.
+    """A movable prop, tied to the character's ``hands``, by the names of their bodies.
 
-    ``palm`` is the distance of the hands' surface from their joints [m], and ``hands``
-    are the names of the hands' bodies.
+    ``palm`` is the distance of the hands' surface from their joints [m].
     """
 
     def __init__(

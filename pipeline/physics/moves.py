@@ -18,10 +18,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """The way from one target to the next, in MuJoCo's world.
-
-    Several moves in a row have a leading axis T.
-    """
+    """The way from one target to the next, in MuJoCo's world; several have axis T."""
 
     duration: Any  # time that it takes [s]
     before: tuple[Array, Array]  # joints [m] and rotations, wxyz, (J, 3) and (J, 4)
@@ -39,9 +36,8 @@ class Move:
 class MovePlanner:
     """Plans the moves of one body.
 
-    Each torque of the pulls acts on a joint of ``turned``, shape (N,), about an axis in
-    the frame of its segment, shape (N, 3). ``damping`` is that of the pulls, (pulls,);
-    it can be set.
+    Each torque of the pulls acts on a joint of ``turned`` (N,), about an axis in the
+    frame of its segment (N, 3). ``damping`` of the pulls (pulls,) can be set.
     """
 
     def __init__(
@@ -62,8 +58,7 @@ class MovePlanner:
     ) -> Move:
         """Return the move between two targets, as in ``Move``, or several in a row.
 
-        The acceleration of the joints [m/s^2] has the shape of their positions. The
-        pulls carry a ``share`` of what is needed.
+        The acceleration of the joints is in m/s^2, (J, 3). The pulls carry a ``share``.
         """
         seconds = np.asarray(duration)[..., None]
         opposite = np.vecdot(before[1], after[1]) < 0.0

@@ -51,10 +51,9 @@ def check_target(positions: Array, rotations: Array) -> None:
 class PulledCharacter:
     """The humanoid of one body, stepped from one target posture to the next.
 
-    It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
-    joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. It is alone in a world of its own, unless it is given one with others. Raises
-    InputError as ``World``.
+    It stands in T-pose at the origin until ``start``. Targets are joint positions [m]
+    (J, 3), and segment rotations, wxyz, (J, 4), in the world frame. It is alone in a
+    world of its own, unless it is given one. Raises InputError as ``World``.
     """
 
     def __init__(
@@ -187,10 +186,9 @@ class PulledCharacter:
     ) -> Move:
         """Return the move to a target within dt [s], for ``World.follow``.
 
-        The acceleration of the target [m/s^2], shape (J, 3), is by default that of the
-        last two steps, half a frame late. What is held stays in hands that the sensor
-        has not ``seen``, shape (2,). Raises InputError if the target is not finite or
-        no time passes.
+        The acceleration of the target [m/s^2] (J, 3) is by default that of the last two
+        steps, half a frame late. What is held stays in hands that the sensor has not
+        ``seen`` (2,). Raises InputError if the target is not finite or no time passes.
         """
         check_target(positions, rotations)
         if not 0.0 < dt < np.inf:
@@ -304,10 +302,7 @@ class PulledCharacter:
         return not (self._yields or away < _LOST)  # also True for NaN
 
     def is_stuck(self, dt: float) -> bool:
-        """Return True if a limb is stuck, unless it may hang or was pushed away.
-
-        To be called once a step, after ``dt`` [s].
-        """
+        """Return True if a limb is stuck that may not hang; once a step, of dt [s]."""
         if self._yields or self._pushes:
             self._limbs.start()
             return False
@@ -336,9 +331,9 @@ class PulledCharacter:
 
     @property
     def solid(self) -> bool:
-        """Whether it touches others, itself and props, not only the floor.
+        """Whether it touches others, itself and props, not only the floor; can be set.
 
-        Can be set if it is not alone in its world.
+        Has no effect on a character that is alone in its world.
         """
         return bool(self.model.geom_contype[self._geoms].any())
 

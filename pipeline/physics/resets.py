@@ -43,10 +43,10 @@ def bridge_resets(
         away -= positions_from_rotations(wanted, there, body)
         follows = (np.linalg.norm(away, axis=-1) < _FOLLOWED).all(axis=-1)
         # A limb that comes back only for a moment does not follow.
-        left = np.maximum.accumulate(np.where(follows, -np.inf, time[before]))
-        follows = time[before] - left > _BLENDING_TIME
-        lost = max([earliest, *time[before][follows][-1:]])
-        share = np.clip(1.0 + (time[before] - lost) / _BLENDING_TIME, 0.0, 1.0)
+        now = time[before]
+        left = np.maximum.accumulate(np.where(follows, -np.inf, now))
+        lost = max([earliest, *now[now - left > _BLENDING_TIME][-1:]])
+        share = np.clip(1.0 + (now - lost) / _BLENDING_TIME, 0.0, 1.0)
         turns[:] = slerp(turns, wanted, share[:, None])
         roots += share[:, None] * (there - roots)
         heights = positions_from_rotations(turns, roots, body)[..., 1]

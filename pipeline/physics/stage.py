@@ -64,8 +64,7 @@ class Physics(Stage):
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
         """Pull the characters of people of one recording through it in one world.
 
-        The scene is where it is for the person who is seen in most frames. Everyone
-        stands on the floor that was found for them.
+        The scene is where it is for the person who is seen in most frames.
         """
         main = max(drafts, key=lambda draft: len(draft.time))
         place = self._placement(main.positions, main.skeleton)

@@ -28,7 +28,7 @@ class StandingFeet:
 
     def start(self) -> None:
         """Reset the state to feet that bear nothing yet."""
-        self._load, self._pressing = np.zeros(2), np.zeros(2)
+        self._load, self._pressing = np.zeros((2, 2))
         self.settle()
 
     def settle(self) -> None:
@@ -36,10 +36,7 @@ class StandingFeet:
         self._carried = self.lifting = self._weight
 
     def begin(self, move: Move, stands: Flags | None) -> None:
-        """Shift the weight toward the feet that stand (2,); none if that is None.
-
-        No force may be applied to the feet yet.
-        """
+        """Shift the weight toward the feet that stand (2,); none if that is None."""
         wanted = np.zeros(2) if stands is None else stands.astype(float)
         if wanted.all():
             wanted = np.array([move.left_share, 1.0 - move.left_share])

@@ -26,9 +26,9 @@ def bridge(values: Array, known: Flags, rate: float) -> Array:
     """Return values with their gaps bridged smoothly from both ends, shape (T, C).
 
     Whittaker's smoother with second differences (Eilers 2003) minimizes the sum of
-    |z - y|^2 over ``known`` frames (T,), at least one, plus lambda times that of
-    |second difference|^2. In gaps much longer than a second, it approaches the straight
-    line between the ends. The frame rate is in Hz.
+    |z - y|^2 over known frames plus lambda times the sum of |second difference|^2. In
+    gaps much longer than a second, it approaches the straight line between the ends.
+    ``known`` (T,) is True for known frames, at least one; the frame rate is in Hz.
     """
     seen = np.flatnonzero(known)
     first, last = seen[0], seen[-1] + 1
@@ -80,7 +80,6 @@ def bridge_matrix(count: int, context: int, rate: float) -> Array:
 def coast(last: Array, velocity: Array, elapsed: Array) -> Array:
     """Return where something that loses its velocity is after some time, (..., C).
 
-    ``last`` is its position then, ``velocity`` [1/s] has the same shape, and
-    ``elapsed`` [s] broadcasts against them.
+    ``last`` is where it was, ``velocity`` is in 1/s, and ``elapsed`` [s] broadcasts.
     """
     return np.asarray(last + velocity * (_COAST * (1.0 - np.exp(-elapsed / _COAST))))

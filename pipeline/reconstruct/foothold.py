@@ -23,8 +23,8 @@ def planted_height(heights: Array) -> float:
 def planted_likelihood(ankle: Array, rate: float, floor: float) -> Array:
     """Return how likely an ankle is planted at one end of a gap, in [0, 1], (...).
 
-    ``ankle`` (..., N, 3) holds its positions there [m], world frame, at a rate [Hz];
-    ``floor`` is the height of a planted ankle [m].
+    ``ankle`` (..., N, 3) holds its positions there [m], world frame, at a frame rate of
+    ``rate`` [Hz]; ``floor`` is the height of a planted ankle [m].
     """
     steps = np.linalg.norm(np.diff(ankle, axis=-2), axis=-1)
     speed = rate * np.median(steps, axis=-1)

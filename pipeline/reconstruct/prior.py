@@ -60,9 +60,9 @@ Mode = Literal["between", "before", "unseen"]
 class MotionPrior:
     """Describes hidden limbs as ``windows.describe`` does, plus the learned departure.
 
-    ``networks`` holds, by ``network_name``, the mean of the inputs, shape (F,), and the
-    weights and biases of the layers. Without them every hidden limb continues its
-    previous motion, and unseen ones are left to the method.
+    ``networks`` holds, under the names that ``network_name`` gives, the mean of the
+    inputs, shape (F,), and the weights and biases of the layers. Without networks every
+    hidden limb continues its previous motion, and unseen ones are left to the method.
     """
 
     def __init__(self, networks: Mapping[str, tuple[Array, Network]]) -> None:
@@ -170,12 +170,9 @@ def network_name(part: str, mode: Mode) -> str:
 @cache
 def part_of(skeleton: Skeleton, hidden: Segments) -> tuple[str, bool]:
     """Return the hidden part out of PARTS, "" for none, and True for a right limb."""
-    names = [skeleton.joints[j] for j in hidden]
-    for mirrored, side in enumerate(SIDES):
-        for part, joints in PARTS.items():
-            if names == [joint + side for joint in joints]:
-                return part, bool(mirrored)
-    return "", False
+    kinds = tuple(skeleton.kinds[j] for j in hidden)
+    part = next((part for part, joints in PARTS.items() if joints == kinds), "")
+    return part, bool(part) and skeleton.joints[hidden[0]].endswith("Right")
 
 
 def inputs_of(hidden: Stretches, found: Descriptions) -> Array:
@@ -208,9 +205,8 @@ def posture_inputs(
 ) -> Array:
     """Return the inputs of the networks for unseen limbs, (..., F), as for a left one.
 
-    ``bones`` are all segments as vectors [m] in the heading frame, shape (..., J, 3),
-    NaN where they are not seen, and ``lower`` is the height of the root [m] relative to
-    where the person stands, shape (...).
+    ``bones`` are all segments as vectors [m] in the heading frame, (..., J, 3), NaN
+    where not seen, and ``lower`` is the root's height [m] relative to standing, (...).
     """
     body, mirrored = _rest_of_body(skeleton, hidden)
     vectors = bones[..., list(body), :] / _BONE

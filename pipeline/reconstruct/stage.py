@@ -109,10 +109,9 @@ def hidden_joints(
 ) -> Flags:
     """Return True for joints that are missing, or of a limb and only inferred.
 
-    Inferred joints of the trunk, and those that the sensor hardly ever tracks, are not
-    hidden: what the sensor infers is better there than what went before. ``tracked``
-    (J,) is the share of frames in which each joint is tracked; by default that of all
-    frames of the take.
+    Inferred joints of the trunk, and those hardly ever tracked, are not hidden: what
+    the sensor infers is better there. ``tracked`` (J,) is the share of frames in which
+    each joint is tracked; by default that of the take.
     """
     now = state == State.TRACKED
     often = (now.mean(axis=0) if tracked is None else tracked) > _MOSTLY_INFERRED

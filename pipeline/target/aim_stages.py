@@ -128,7 +128,7 @@ class _Mean:
     def __call__(
         self, elapsed: float, values: Array, weights: Array
     ) -> tuple[Array, Array]:
-        """Return the means of values and weights ``elapsed`` [s] later."""
+        """Return the means of values and weights ``elapsed`` [s] after the last."""
         latest = weights[..., None] * values, weights
         share = 1.0 - np.exp(-self._rate * elapsed)
         ends = zip(self._mean or latest, latest, strict=True)

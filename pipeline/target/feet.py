@@ -157,8 +157,8 @@ class StanceTracker:
     def lift(self, toes: Array, soles: Array, dt: float) -> Array:
         """Return by how much to lift each foot [m] so that none slides, shape (2,).
 
-        To be called after ``step``. Toes [m] (2, 3) have the floor at y = 0; ``soles``
-        are the heights of toes that rest on it [m], shape (2,).
+        To be called after ``step``. Toe positions [m], shape (2, 3), have the floor at
+        y = 0; ``soles`` is the height of toes that rest on it [m], shape (2,).
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
@@ -175,14 +175,12 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
     shorter = stands.copy()
     for foot in range(2):
         for stance in runs(stands[:, foot]):
-            begin, end = time[stance.start], time[stance.stop - 1]
-            margin = min(_UNLOADING, 0.25 * (end - begin))
+            now = time[stance]
+            margin = min(_UNLOADING, 0.25 * (now[-1] - now[0]))
             if stance.start > 0:
-                down = np.searchsorted(time, begin + margin - _ROUNDING)
-                shorter[stance.start : down, foot] = False
+                shorter[stance, foot] &= now >= now[0] + margin - _ROUNDING
             if stance.stop < len(time):
-                up = np.searchsorted(time, end - margin + _ROUNDING)
-                shorter[up : stance.stop, foot] = False
+                shorter[stance, foot] &= now < now[-1] - margin + _ROUNDING
     return shorter
 
 
@@ -252,9 +250,8 @@ def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     rest = sums[-1] - sums[:-1]
     gain = np.sum(sums[:-1] ** 2 / k + rest**2 / (count - k), axis=1)
     middle = time[stance.start + 1 + int(gain.argmax())]
-    ends = np.array([middle - 0.5 * _STEP, middle + 0.5 * _STEP])
-    first, last = np.searchsorted(time, ends - _ROUNDING)
-    first, last = max(int(first), stance.start), min(int(last), stance.stop)
+    ends = middle + 0.5 * _STEP * np.array([-1.0, 1.0]) - _ROUNDING
+    first, last = np.searchsorted(time, ends).clip(stance.start, stance.stop)
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
         _split(time, path, stands, part)
@@ -312,14 +309,12 @@ def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> 
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
-    rest = np.zeros((len(path), 2, 3))
-    rest[:, 1, [0, 2]] = place + reach * ahead
-    rest[:, 1, 1] = sole
+    tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
+    rest[:, 1, [0, 2]], rest[:, 1, 1] = tip, sole
     # The ankle turns about the toes.
     height = np.minimum(flat + rise, sole + length)
     back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
-    rest[:, 0, [0, 2]] = rest[:, 1][:, [0, 2]] - back[:, None] * ahead
-    rest[:, 0, 1] = height
+    rest[:, 0, [0, 2]], rest[:, 0, 1] = tip - back[:, None] * ahead, height
     return rest
 
 

@@ -33,12 +33,11 @@ _LONGEST_GAP = 30  # missing frames with which a gap is bridged; a longer one sh
 
 
 def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Array:
-    """Return smoothed values.
+    """Return smoothed values (T, J, C).
 
-    Time stamps [s], shape (T,), increase strictly. Values have shape (T, J, C),
-    weights, the confidence in each value in (0, 1], shape (T, J). ``cutoff`` is the
-    frequency [Hz] at which half of the amplitude is left at confidence 1; confidence w
-    moves it by a factor of w^(1/6).
+    Time stamps [s], shape (T,), increase strictly; weights are the confidence in each
+    value in (0, 1], shape (T, J). ``cutoff`` is the frequency [Hz] at which half of the
+    amplitude is left at confidence 1; confidence w moves it by a factor of w^(1/6).
     """
     if len(time) <= _ORDER or cutoff >= 0.5 / np.median(np.diff(time)):
         return values.copy()
@@ -53,15 +52,13 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
 def smooth_by_speed(
     time: Array, values: Array, weights: Array, *, cutoff: float
 ) -> Array:
-    """Return joint paths, smoothed more strongly where a joint is slow.
+    """Return joint paths [m] (T, J, 3), smoothed more strongly where a joint is slow.
 
     Trembling of a joint at rest is noise, but quick changes of a moving one may be
     movement. So the cutoff grows with the speed of the smoothed path, as in the 1 euro
-    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest
-    where that would remove far more than noise, as when hands clap or shake.
-
-    Arguments are as in ``smooth``, but values are positions [m], shape (T, J, 3), and
-    ``cutoff`` is the highest cutoff frequency [Hz].
+    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest,
+    ``cutoff`` [Hz], where that would remove far more than noise, as when hands clap or
+    shake. Other arguments are as in ``smooth``.
     """
     if len(time) <= _ORDER:
         return values.copy()

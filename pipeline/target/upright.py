@@ -47,9 +47,9 @@ _FRAMES = 5000  # to look at: enough for medians
 
 @dataclass(frozen=True)
 class Turn:
-    """Rotation of a sensor's frame that makes people stand upright (``leveled``)."""
+    """Rotation of a sensor's frame that makes the person stand upright."""
 
-    roll: float = 0.0  # angle about z [rad], applied first
+    roll: float = 0.0  # angle about z [rad], applied first; see ``leveled``
     tilt: float = 0.0  # angle about x [rad], applied second
     doubt: str = ""  # warning that the frame may be wrong, although left as it is
 
@@ -113,8 +113,7 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) ->
 def with_y_up(take: Take) -> Take:
     """Return a take with y up, flipping y if it pointed down.
 
-    That is the case if the person is upside down and the toes point backwards: a
-    reflection, which no rotation of the sensor could undo.
+    So it did if the person is upside down and the toes point backwards: a reflection.
     """
     some = take.positions[:: 1 + len(take) // _FRAMES]
     along, straight, _ = _posture(some, take.skeleton)
