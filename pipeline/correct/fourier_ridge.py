@@ -183,10 +183,8 @@ class FourierRidge(LearnedCorrector):
             predicted.append(random(sides).reshape(2, 1, count, -1) @ own)
             first = last
         offsets = np.concatenate(predicted, axis=3) + constants[:, :, None]
-        parts = [
-            similarity_to(sides[:, own], near, size) for own, near, size in by_part
-        ]
-        posture = [similarity_to(features, near, size) for _, near, size in whole]
+        parts = [similarity_to(sides[:, own], *centers) for own, *centers in by_part]
+        posture = [similarity_to(features, *centers) for _, *centers in whole]
         by_side = np.array(parts).reshape(len(parts), 2, -1)
         joints = by_side[described.part_of, described.is_right.astype(int)]
         merged = described.merge_sides(*offsets.reshape(2, 2, count, -1, 3))
@@ -202,10 +200,8 @@ class FourierRidge(LearnedCorrector):
         similar, parts = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for some in chunks(count, _CHUNK):
-            features = self._posture_features(
-                points[some], points, take.time[some], take.time, toward[some]
-            )
-            predicted = self._predict(features, live=False)
+            seen = points[some], points, take.time[some], take.time, toward[some]
+            predicted = self._predict(self._posture_features(*seen), live=False)
             offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
@@ -226,8 +222,8 @@ class FourierRidge(LearnedCorrector):
         points, now = self._posture_features.points(posture), float(observation.time)
         elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
-        self._past = past = [*past, (now, points)]
-        times, around = np.array([t for t, _ in past]), np.array([x for _, x in past])
+        self._past = [*past, (now, points)]
+        times, around = map(np.array, zip(*self._past, strict=True))
         toward = direction_to(observation.sensor, 1)
         features = self._posture_features(
             points[None], around, np.array([now]), times, toward, live=True
@@ -260,9 +256,8 @@ class FourierRidge(LearnedCorrector):
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._posture_features.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
-            of_parent = shift[..., self.skeleton.parents[j], :]
-            own = shift[..., j, :]
-            shift[..., j, :] = np.where(missing[..., j, None], of_parent, own)
+            ends = shift[..., self.skeleton.parents[j], :], shift[..., j, :]
+            shift[..., j, :] = np.where(missing[..., j, None], *ends)
         moved = posture + shift
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_

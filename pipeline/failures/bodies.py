@@ -61,17 +61,15 @@ class ImpossibleBodies:
             return False
         lengths = segment_lengths(positions, self._skeleton)[self._skeleton.segments]
         size = float(_lower_median(lengths / self._lengths))
-        return self._has_wrong_size(size, time) or self._is_elsewhere(time, place)
-
-    def _has_wrong_size(self, size: float, time: float) -> bool:
-        if np.isnan(size):
-            return False
-        sizes = self._sizes = self._sizes or deque([(time, 1.0)] * _PRIOR_FRAMES)
-        while sizes and sizes[0][0] < time - 2.0 * _BRIEF:
-            sizes.popleft()
-        sizes.append((time, size))
-        usual = median_low(s for _, s in sizes)
-        return not usual / _SIZE_FACTOR <= size <= usual * _SIZE_FACTOR
+        if not np.isnan(size):
+            sizes = self._sizes = self._sizes or deque([(time, 1.0)] * _PRIOR_FRAMES)
+            while sizes and sizes[0][0] < time - 2.0 * _BRIEF:
+                sizes.popleft()
+            sizes.append((time, size))
+            usual = median_low(s for _, s in sizes)
+            if not usual / _SIZE_FACTOR <= size <= usual * _SIZE_FACTOR:
+                return True
+        return self._is_elsewhere(time, place)
 
     def _is_elsewhere(self, time: float, place: Array) -> bool:
         if _is_reachable(self._last, time, place):
@@ -155,13 +153,13 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     for way in (pieces[longest:], [p[::-1] for p in pieces[longest::-1]]):
         last = way[0][-1]
         for piece in way[1:]:
-            gap = np.abs(time[piece[0]] - time[last])
-            if not _reachable(places[last], places[piece[0]], gap):
-                far = np.linalg.norm(places[piece[0]] - places[last]) > _RANGE
+            first, gap = piece[0], np.abs(time[piece[0]] - time[last])
+            if not _reachable(places[last], places[first], gap):
+                far = np.linalg.norm(places[first] - places[last]) > _RANGE
                 if far or np.ptp(time[piece]) < _BRIEF:
                     wrong[known[piece]] = True
                     continue
-                jumps[known[[last, piece[0]]]] = True
+                jumps[known[[last, first]]] = True
             last = piece[-1]
     return wrong, jumps
 
