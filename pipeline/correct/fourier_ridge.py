@@ -200,8 +200,9 @@ class FourierRidge(LearnedCorrector):
         similar, parts = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for some in chunks(count, _CHUNK):
-            seen = points[some], points, take.time[some], take.time, toward[some]
-            predicted = self._predict(self._posture_features(*seen), live=False)
+            times = take.time[some], take.time
+            seen = self._posture_features(points[some], points, *times, toward[some])
+            predicted = self._predict(seen, live=False)
             offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))

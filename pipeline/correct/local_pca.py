@@ -157,12 +157,12 @@ class LocalPCA(Corrector):
             self.energy = PostureEnergy(space, self._body, *observed, self.weights)
         space = self.energy.space
         last = self._last[-1] if self._last else self.database.flat[nearest[0]]
-        sought = self.energy, space.project(last)
+        start = space.project(last)
         if self.search == "solver":
-            latent = solve(*sought)
+            latent = solve(self.energy, start)
         else:
             limits = {"steps": self.steps, "samples": self.samples}
-            latent = stochastic_search(*sought, self._generator, **limits)
+            latent = stochastic_search(self.energy, start, self._generator, **limits)
         posture = space.posture(latent)
         self._last = [self._last[1] if self._last else posture, posture]
         return posture.reshape(-1, 3), nearest

@@ -83,7 +83,7 @@ class PostureFeatures:
         self.mirror = (order, signs)  # of the features of the mirror image
         # Of live motion: all but the movement until later frames.
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
-        self.parts = [_part(*part, size, count) for part in _PARTS]
+        self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)
         self._slots = np.array([corrected.index(j) for j in left])

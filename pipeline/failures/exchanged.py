@@ -66,7 +66,7 @@ def _moved(take: Take, joints: Indices) -> tuple[Array, Array]:
     """Return how far joints are from where they and the other side were before [m]."""
     seen, before = take.positions, (joints, take.skeleton.mirror[joints])
     ways = [np.linalg.norm(seen[1:, joints] - seen[:-1, k], axis=2) for k in before]
-    known = np.isfinite(ways).all(axis=0)
+    known = np.asarray(np.isfinite(ways).all(axis=0))
     count = np.where(known.any(axis=1), known.sum(axis=1), np.nan)
     same, other = (np.where(known, way, 0.0).sum(axis=1) / count for way in ways)
     return same, other

@@ -68,7 +68,7 @@ def through_head(take: Take, side: str) -> Flags:
     elbow, wrist = (np.sum((end - head) * up, axis=1) for end in (elbow, wrist))
     over = (wrist > _OVER_HEAD) & (elbow > -_CLEARANCE)
     distances = np.nan_to_num(np.where(over, np.inf, distances), nan=np.inf)
-    return _running_median(take, distances) < _CLEARANCE
+    return np.asarray(_running_median(take, distances) < _CLEARANCE)
 
 
 def out_of_range(take: Take, side: str) -> Flags:
@@ -86,7 +86,7 @@ def out_of_range(take: Take, side: str) -> Flags:
     lowered = np.sum(arm * up, axis=1) < _RAISED
     beyond = np.where(lowered, np.minimum(-across, inward), -1.0)
     beyond = _running_median(take, np.nan_to_num(beyond, nan=-1.0))
-    return beyond > np.sin(_TOLERANCE)
+    return np.asarray(beyond > np.sin(_TOLERANCE))
 
 
 def leaps(take: Take, side: str, limb: str) -> Flags:

@@ -71,7 +71,7 @@ class Grasp:
         self._released = self.held if props_stay else None
         self._carry = self._sought = None
         self._waited = self._leaving = 0.0
-        self._away, self._rate = np.zeros((2, 3)), np.zeros((2, 3))
+        self._away, self._rate, self._beside = np.zeros((3, 2, 3))
         self._before: Array | None = None
         for prop in self.props:
             prop.untie()
@@ -79,7 +79,7 @@ class Grasp:
     @property
     def held(self) -> Holdable | None:
         """What the hands hold."""
-        return self._carry and self._carry.prop
+        return self._carry.prop if self._carry else None
 
     @property
     def weight(self) -> float:

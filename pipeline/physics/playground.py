@@ -122,10 +122,10 @@ class Playground:
             self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
         moves, feet = [], []
         for character, motion in self._pairs:
-            *target, stands = self._target(motion)
+            positions, rotations, stands = self._target(motion)
             reliability = motion.reliability[self._frame(motion)]
             seen = seen_hands(reliability, motion.skeleton)
-            moves.append(character.plan(*target, dt, seen=seen))
+            moves.append(character.plan(positions, rotations, dt, seen=seen))
             feet.append(stands)
         self.resets += int(np.sum(~self.world.follow(moves, feet)))
         self.scene_props.record(0)

@@ -116,8 +116,9 @@ class PulledCharacter:
         soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
         self.feet = StandingFeet(self.data, soles, self._weight)
         self._joint_damping = model.dof_damping[self._speeds].copy()
-        gives = isinstance(tracking, GameTracking)
-        self.compliance = Compliance(body, tracking) if gives else None
+        self.compliance = None
+        if isinstance(tracking, GameTracking):
+            self.compliance = Compliance(body, tracking)
         # Whether nothing pulls the character, so that it falls; can be set.
         self.limp = isinstance(tracking, RagdollTracking)
         self.start(body.rest_positions, np.tile(IDENTITY, (len(joints), 1)))

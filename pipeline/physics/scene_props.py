@@ -98,6 +98,8 @@ class SceneProps:
         color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
         if material >= 0 and np.allclose(color, _UNSET):
             color = model.mat_rgba[material]
-        place, turn = model.geom_pos[geom], model.geom_quat[geom]
-        frame = map(from_mujoco, (model.geom_size[geom][sizes], place, turn))
-        return Shape(kind, *frame, color[:3].astype(float), points, triangles)
+        size, place = model.geom_size[geom][sizes], model.geom_pos[geom]
+        frame = (size, place, model.geom_quat[geom])
+        size, place, turn = map(from_mujoco, frame)
+        rgb = color[:3].astype(float)
+        return Shape(kind, size, place, turn, rgb, points, triangles)

@@ -201,5 +201,5 @@ def _place_middle(
     frames = hidden[:, middle] & ~hidden[:, end]
     lengths = (seen.lengths[middle], seen.lengths[end])
     if frames.any() and np.isfinite(lengths).all():
-        points = [seen.positions[frames, j] for j in (top, middle, end)]
-        seen.positions[frames, middle] = middle_joint(*points, lengths)[0]
+        first, inner, last = (seen.positions[frames, j] for j in (top, middle, end))
+        seen.positions[frames, middle] = middle_joint(first, inner, last, lengths)[0]

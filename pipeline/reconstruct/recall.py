@@ -177,7 +177,7 @@ def _kernel(a: Array, b: Array) -> Array:
 
 def _squares(a: Array, b: Array) -> Array:  # distances of rows, shape (A, B)
     squares = np.vecdot(a, a)[:, None] + np.vecdot(b, b) - 2.0 * a @ b.T
-    return np.maximum(squares, 0.0)
+    return np.asarray(np.maximum(squares, 0.0))
 
 
 def _rows(values: Array) -> Array:  # (W, M, ...) as (W M, C)

@@ -189,10 +189,11 @@ class HiddenLimbTracker:
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
-        log = (self._positions, self._directions, self._known, self._joined)
-        arrays = (*(array[:count] for array in log), np.zeros(count, np.bool_))
-        rest = self._body.lengths, gap.floor, gap.standing
-        return BridgedMotion(self._body.skeleton, rate, heading, *arrays, *rest)
+        skeleton, lengths = self._body.skeleton, self._body.lengths
+        positions, directions = self._positions[:count], self._directions[:count]
+        flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
+        arrays = (positions, directions, *flags, lengths)
+        return BridgedMotion(skeleton, rate, heading, *arrays, gap.floor, gap.standing)
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""

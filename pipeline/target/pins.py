@@ -57,7 +57,8 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
         if limb is not None:
             _, middle, end = limb
             lengths = (draft.body.lengths[middle], draft.body.lengths[end])
-            there, _ = middle_joint(*np.moveaxis(positions[:, limb], 1, 0), lengths)
+            top, inner, outer = np.moveaxis(positions[:, limb], 1, 0)
+            there, _ = middle_joint(top, inner, outer, lengths)
             positions[:, middle] += firm * (there - positions[:, middle])
         weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
         moved = origin[frames, j] == Origin.MEASURED
