@@ -266,11 +266,8 @@ class FourierRidge(LearnedCorrector):
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
-        away = turned_away(found.toward)
-        # At a right angle to the sensor, the turn ends.
-        room = np.pi / 2.0 - _TURNED - np.abs(away)
-        turn = np.minimum(float(self.turn_share_) * np.abs(away), room)
-        turn = _ramp(found.similar[..., 1], _FAR, _NEAR) * (np.sign(away) * turn)
+        turn = _turn(found.toward, float(self.turn_share_))
+        turn = _ramp(found.similar[..., 1], _FAR, _NEAR) * turn
         if turn.any():
             for pair in self._pairs:
                 middle = moved[..., pair, :].mean(axis=-2)
@@ -317,6 +314,13 @@ def turned_away(toward: Array) -> Array:
     angle = np.arctan2(left, np.abs(ahead))
     beyond = np.maximum(np.abs(angle) - _TURNED, 0.0)
     return np.asarray(np.sign(left) * np.sign(ahead) * beyond)
+
+
+def _turn(toward: Array, share: float) -> Array:
+    """Return a share of ``turned_away`` [rad], which ends at a right angle."""
+    away = turned_away(toward)
+    room = np.pi / 2.0 - _TURNED - np.abs(away)
+    return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))
 
 
 def _turned(positions: Array, turn: Array, center: Array) -> Array:

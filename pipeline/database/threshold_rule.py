@@ -71,8 +71,6 @@ def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices
             break
         if len(kept) <= count:
             high = middle
-            continue
-        low = middle
-        if len(kept) <= most:
-            rest = kept
+        else:
+            low, rest = middle, kept if len(kept) <= most else rest
     return kept

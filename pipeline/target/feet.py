@@ -140,11 +140,9 @@ class StanceTracker:
         """
         if self._paths is None:
             self._paths, self._places = ankles.copy(), ankles.copy()
-        share = 1.0 - np.exp(-dt / _SPEED_TIME)
-        moved = share * (ankles - self._paths)
+        moved = (1.0 - np.exp(-dt / _SPEED_TIME)) * (ankles - self._paths)
         self._paths = self._paths + moved
-        speed = np.linalg.norm(moved, axis=1) / dt
-        height = self._paths[:, 1]
+        speed, height = np.linalg.norm(moved, axis=1) / dt, self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
         lead = (self._lead + odds * dt * _RATE).clip(-_SWITCH, _SWITCH)
         away = np.linalg.norm((self._paths - self._places)[:, [0, 2]], axis=1)
@@ -162,9 +160,8 @@ class StanceTracker:
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
-        slides = ~self._stands & (speed > _SLIDE_SPEED)
         most = _CLEARANCE / _LIFT_TIME * dt
-        needed = np.where(slides, _CLEARANCE, 0.0)
+        needed = np.where(~self._stands & (speed > _SLIDE_SPEED), _CLEARANCE, 0.0)
         self._lifted = self._lifted + (needed - self._lifted).clip(-most, most)
         above = np.where(self._stands, 0.0, toes[:, 1] - soles)
         return np.maximum(self._lifted - above, 0.0)
@@ -349,8 +346,7 @@ def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(part[:, [0, 2]], axis=0), axis=1) / steps
     fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
-    slides = (np.maximum(*fast) > _SLIDE_SPEED) & ~stands
-    needed = np.where(slides, _CLEARANCE, 0.0)
+    needed = np.where((np.maximum(*fast) > _SLIDE_SPEED) & ~stands, _CLEARANCE, 0.0)
     # Up and down at a constant speed, which takes frames before and after.
     slopes = _CLEARANCE / _LIFT_TIME * steps
     edge = np.where(stands, 0.0, np.inf)

@@ -79,6 +79,11 @@ def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) ->
         return Turn()
     if _mirrored(positions, skeleton):
         return Turn(doubt=_MIRRORED)
+    return _turn_from(along, straight, down, least)
+
+
+def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
+    """Return the turn for postures as ``_posture`` returns them."""
     enough = max(least, _MIN_SHARE * len(along))
     stands, ordinary = straight.all(axis=1), _ORDINARY["both"]
     if stands.sum() < enough:
