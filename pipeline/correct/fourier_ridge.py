@@ -35,8 +35,13 @@ from kinefilter.retarget.body_size import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
-from .posture_features import REACH, PostureFeatures
-from .random_features import RandomFeatures, direction_to, similarity_to
+from .posture_features import (
+    REACH,
+    PostureFeatures,
+    RandomFeatures,
+    direction_to,
+    similarity_to,
+)
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's unusual proportions that is due to the sensor

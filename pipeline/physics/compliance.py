@@ -20,8 +20,6 @@ from kinefilter.characters.rotations import inverse, multiply, rotation_vector, 
 from kinefilter.characters.tracking import GameTracking
 from kinefilter.retarget.stance import smooth_step
 
-from .spring import damped
-
 FALLEN_DAMPING = 8.0
 """Joint damping of a fallen body, relative to a limp one. A guess: at 1, bodies that
 are thrown hard spin out of control."""
@@ -184,3 +182,15 @@ def relative_rotations(rotations: Array, skeleton: Skeleton) -> Array:
     parents = inverse(rotations[skeleton.segment_parents])
     relative[ends] = multiply(parents, rotations[ends])
     return relative
+
+
+def damped(
+    off: Array, speed: Array, frequency: float, dt: float
+) -> tuple[Array, Array]:
+    """Return how far a critically damped spring is from rest, and its velocity.
+
+    These are in m and m/s, ``dt`` [s] later; its natural frequency is in rad/s.
+    """
+    drift, decay = speed + frequency * off, np.exp(-frequency * dt)
+    later = off + drift * dt
+    return later * decay, (drift - frequency * later) * decay

@@ -8,20 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.characters.rotations import continuous, slerp
+from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
-from .resets import bridge_resets
 from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
+# Of resets. Guesses.
+_FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
+_LONGEST_LOST = 1.0  # s
+_BLENDING_TIME = 0.2  # s before, in which the pose goes to its target
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,7 @@ class PhysicsTrace:
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
     or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
-    that the motion is bridged (``resets``); forces are those of the simulation."""
+    that, ``bridge_resets`` changes the motion; forces are those of the simulation."""
 
     @property
     def status(self) -> str:
@@ -206,3 +211,40 @@ def _accelerations(time: Array, positions: Array) -> Array:
     longest = np.maximum(steps[1:], steps[:-1])
     accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
     return accelerations
+
+
+def bridge_resets(
+    time: Array,
+    pose: tuple[Array, Array],
+    target: tuple[Array, Array],
+    resets: Indices,
+    body: Body,
+) -> None:
+    """Blend the pose into the target before each reset, so that nothing jumps.
+
+    Lost limbs thrash; the target may be a posture that no body can take, but it moves
+    as the sensor saw it.
+
+    Pose, which is changed, and target are rotations, wxyz, (T, J, 4), and positions of
+    the root [m], (T, 3), at each time stamp [s]. ``resets`` are frames of resets.
+    """
+    # Between resets in a row there is nothing to blend.
+    for stop in resets[np.diff(resets, prepend=-2) > 1]:
+        earliest = time[stop] - _LONGEST_LOST
+        start = int(np.searchsorted(time, earliest - _BLENDING_TIME))
+        before = slice(start, int(stop))
+        (turns, roots), (wanted, there) = (
+            (rotations[before], root[before]) for rotations, root in (pose, target)
+        )
+        away = positions_from_rotations(turns, roots, body)
+        away -= positions_from_rotations(wanted, there, body)
+        follows = (np.linalg.norm(away, axis=-1) < _FOLLOWED).all(axis=-1)
+        # A limb that comes back only for a moment does not follow.
+        now = time[before]
+        left = np.maximum.accumulate(np.where(follows, -np.inf, now))
+        lost = max([earliest, *now[now - left > _BLENDING_TIME][-1:]])
+        share = np.clip(1.0 + (now - lost) / _BLENDING_TIME, 0.0, 1.0)
+        turns[:] = slerp(turns, wanted, share[:, None])
+        roots += share[:, None] * (there - roots)
+        heights = positions_from_rotations(turns, roots, body)[..., 1]
+        roots[:, 1] += floor_penetration(heights, clearances(body))

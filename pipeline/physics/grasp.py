@@ -19,8 +19,8 @@ from kinefilter.retarget.reach import Reach
 from kinefilter.retarget.stance import smooth_step
 
 from .carry import STRENGTH, Carry, PerformerHands
+from .compliance import damped
 from .holdable import HANDS, HORIZONTAL, UP, Holdable
-from .spring import damped
 
 # All of these are guesses, tried on scripted performances with a box.
 _SEEN = 0.3  # reliability of a hand that is seen well enough to let go

@@ -13,11 +13,10 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.floor import leveled
 
-from .hidden_limbs import fill_hidden
+from .hidden_limbs import fill_hidden, fill_unseen
 from .limbs import in_limbs
 from .prior import MotionPrior, default_prior
 from .tracker import HiddenLimbTracker
-from .unseen import fill_unseen
 
 _MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred joints are kept
 _LATELY = 300  # frames over which that share is averaged in live motion

@@ -13,11 +13,10 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .foothold import planted_height
-from .hidden_limbs import PAUSE
+from .hidden_limbs import PAUSE, point_unseen
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
-from .unseen import point_unseen
 from .windows import BridgedMotion, Limb, Stretches
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
