@@ -49,7 +49,10 @@ class Observation(_Arrays):
 
 @dataclass(frozen=True, eq=False)
 class Correction(_Arrays):
-    """A corrected frame, or with a leading axis T a take, as the observation's."""
+    """A corrected frame, in the heading frame and body size of the observation.
+
+    For a whole take, every array has a leading axis T.
+    """
 
     positions: Array
     """Joint positions [m], shape (J, 3). A method for whole takes may leave NaN."""

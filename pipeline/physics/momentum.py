@@ -61,7 +61,10 @@ class Momentum:
         return float(self._pulling @ self._upward)
 
     def note(self) -> None:
-        """Note where the body was before the last substep, before kinematics follow."""
+        """Note where the body was before the last substep.
+
+        To be called before the kinematics of the data are brought up to date.
+        """
         self._there = self._masses @ self._places
 
     def unexplained(self, pushed: Array) -> Array:

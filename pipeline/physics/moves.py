@@ -58,7 +58,8 @@ class MovePlanner:
     ) -> Move:
         """Return the move between two targets, as in ``Move``, or several in a row.
 
-        The acceleration of the joints is in m/s^2, (J, 3). The pulls carry a ``share``.
+        Accelerations of joints are in m/s^2, (J, 3). The pulls carry a ``share`` of
+        all.
         """
         seconds = np.asarray(duration)[..., None]
         opposite = np.vecdot(before[1], after[1]) < 0.0

@@ -139,7 +139,10 @@ class Playground:
 
     @staticmethod
     def _put_back(character: PulledCharacter) -> None:
-        """Put props that hands can hold back, unless another character holds them."""
+        """Put props that hands can hold where a motion, which repeats, begins.
+
+        What another character holds stays in their hands.
+        """
         held = [other.grasp.held for other in character.world.characters]
         names = {prop.name for prop in held if prop is not None}
         own = character.grasp.held
@@ -162,7 +165,7 @@ class Playground:
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
-        """Return the character's number and joint of the part that a ray hits first."""
+        """Return what a ray hits first if it is a character: its number and a joint."""
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
         model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
         hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)

@@ -303,7 +303,10 @@ class PulledCharacter:
         return not (self._yields or away < _LOST)  # also True for NaN
 
     def is_stuck(self, dt: float) -> bool:
-        """Return True if a limb is stuck that may not hang; once a step, of dt [s]."""
+        """Return True if a limb is stuck, unless it may hang or was pushed away.
+
+        To be called once a step, after ``dt`` [s].
+        """
         if self._yields or self._pushes:
             self._limbs.start()
             return False

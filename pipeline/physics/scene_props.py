@@ -72,7 +72,10 @@ class SceneProps:
         return self._model.body(body).name or f"body{body}"
 
     def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
-        """Return the props in the world of a take that ``place`` put into the scene."""
+        """Return the props and their motion in the world frame of a take.
+
+        ``place`` is the frame that was removed from the take to put it into the scene.
+        """
         return tuple(self._prop(body, place) for body in self._geoms)
 
     def _prop(self, body: int, place: HeadingFrame) -> Prop:

@@ -2,6 +2,8 @@
 
 A gap is bridged from both ends in the heading frame, a planted foot stays in place, and
 what people mostly do and what the take itself shows of the limb's motion are added.
+Limbs that were never seen, such as legs behind a desk, have no motion to continue:
+networks predict their directions from the posture of the rest of the body.
 """
 
 from __future__ import annotations

@@ -90,10 +90,11 @@ def learn(
 ) -> Recall | None:
     """Learn from the stretches of a take in which a limb is seen; None if too few.
 
-    The ``gap`` begins with that frame, by default anywhere, and has ``length`` frames;
-    ``ahead`` is True if the motion after it is known. Of many samples, those most
-    similar to ``queries``, the features of some of its frames (M, F), are kept; None
-    keeps an even selection. The result adds to the ``prior``.
+    The gap begins with the frame ``gap`` and has ``length`` frames; ``ahead`` is True
+    if the motion after it is known. Of many samples, those most similar to ``queries``,
+    the features of some of its frames (M, F), are kept; None keeps an even selection.
+    Without ``gap``, the whole take is used instead of the minutes around it. The result
+    adds to the ``prior``.
     """
     context, first, around = max(round(CONTEXT * seen.rate), 2), 0, slice(None)
     if gap is not None:
