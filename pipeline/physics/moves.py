@@ -58,8 +58,8 @@ class MovePlanner:
     ) -> Move:
         """Return the move between two targets, as in ``Move``, or several in a row.
 
-        Accelerations of joints are in m/s^2, (J, 3). The pulls carry a ``share`` of
-        all.
+        The acceleration of the joints [m/s^2] has the shape of their positions. The
+        pulls carry a ``share`` of what is needed.
         """
         seconds = np.asarray(duration)[..., None]
         opposite = np.vecdot(before[1], after[1]) < 0.0
