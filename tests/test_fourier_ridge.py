@@ -22,7 +22,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Observation, fourier_ridge
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
-from kinefilter.pipeline.correct.random_features import RandomFeatures
+from kinefilter.pipeline.correct.posture_features import RandomFeatures
 from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner

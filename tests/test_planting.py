@@ -155,7 +155,8 @@ def test_a_foot_stays_over_its_place_while_it_is_lifted_and_set_down() -> None:
     path = np.zeros((100, 2, 3))
     path[:, :, 2] = np.linspace(0.0, 1.0, 100)[:, None]
     stances = [slice(0, 30), slice(70, 100)]
-    resting = [np.zeros((30, 2, 3)), np.ones((30, 2, 3))]
+    resting = path.copy()
+    resting[:30], resting[70:] = 0.0, 1.0
     joined = feet._joined(time, path, resting, stances)
     np.testing.assert_allclose(joined[30:38], 0.0, atol=1e-9)
     np.testing.assert_allclose(joined[62:70], 1.0, atol=1e-9)

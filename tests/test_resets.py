@@ -15,8 +15,8 @@ from kinefilter.characters import Take, positions_from_rotations
 from kinefilter.characters.arrays import Flags
 from kinefilter.characters.rotations import IDENTITY, about_x, about_z
 from kinefilter.pipeline.lab.simulation import simulate
+from kinefilter.pipeline.physics.filter import bridge_resets
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
-from kinefilter.pipeline.physics.resets import bridge_resets
 from kinefilter.pipeline.physics.stuck_limbs import StuckLimbs
 from kinefilter.pipeline.physics.world import World
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from kinefilter.pipeline.physics.spring import damped
+from kinefilter.pipeline.physics.compliance import damped
 
 
 def test_a_spring_moves_as_its_equation_says() -> None:

@@ -15,8 +15,8 @@ from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.limb_lessons import with_prior
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.pipeline.reconstruct import HiddenLimbTracker, MotionPrior
+from kinefilter.pipeline.reconstruct.hidden_limbs import fill_unseen
 from kinefilter.pipeline.reconstruct.prior import default_prior
-from kinefilter.pipeline.reconstruct.unseen import fill_unseen
 from kinefilter.retarget import Standardizer
 
 Array = NDArray[np.float64]

@@ -35,8 +35,13 @@ from kinefilter.retarget.body_size import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
-from .posture_features import REACH, PostureFeatures
-from .random_features import RandomFeatures, direction_to, similarity_to
+from .posture_features import (
+    REACH,
+    PostureFeatures,
+    RandomFeatures,
+    direction_to,
+    similarity_to,
+)
 
 # Chosen by leaving one of six people out, and one of their movements.
 _BONE_SHARE = 0.3  # of a person's unusual proportions that is due to the sensor
@@ -94,16 +99,16 @@ class FourierRidge(LearnedCorrector):
         self._chain = chain_matrix(skeleton)
         self._person: int | None = None
         names = [skeleton.joints[j] for j in self.joints_]
-        leg = np.array([name.startswith(("Knee", "Ankle", "Foot")) for name in names])
+        leg = [name.startswith(("Knee", "Ankle", "Foot")) for name in names]
         self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
         self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
         # How Kinect v1 shows trunks from the side has not been measured.
         measured = skeleton == KINECT_V2
-        ends = ("Shoulder", "Hip") if measured else ()
-        self._pairs = [list(skeleton.sides(part)) for part in ends]
-        feet = zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True)
-        self._feet = [([foot], side) for foot, side in feet if measured]
+        ends, feet = (("Shoulder", "Hip"), ("Foot",)) if measured else ((), ())
+        self._pairs = [skeleton.sides(part) for part in ends]
+        sides = [zip(skeleton.sides(part), (1.0, -1.0), strict=True) for part in feet]
+        self._feet = [([foot], side) for pair in sides for foot, side in pair]
         self._trunk = np.isin(self.joints_, self._pairs)
         self._hidden = self._posture_features.sides != 0.0
         self.start()
@@ -183,10 +188,8 @@ class FourierRidge(LearnedCorrector):
             predicted.append(random(sides).reshape(2, 1, count, -1) @ own)
             first = last
         offsets = np.concatenate(predicted, axis=3) + constants[:, :, None]
-        parts = [
-            similarity_to(sides[:, own], near, size) for own, near, size in by_part
-        ]
-        posture = [similarity_to(features, near, size) for _, near, size in whole]
+        parts = [similarity_to(sides[:, own], *centers) for own, *centers in by_part]
+        posture = [similarity_to(features, *centers) for _, *centers in whole]
         by_side = np.array(parts).reshape(len(parts), 2, -1)
         joints = by_side[described.part_of, described.is_right.astype(int)]
         merged = described.merge_sides(*offsets.reshape(2, 2, count, -1, 3))
@@ -202,10 +205,9 @@ class FourierRidge(LearnedCorrector):
         similar, parts = np.empty((count, 2)), np.empty(points.shape[:2])
         toward = direction_to(take.sensor, count)
         for some in chunks(count, _CHUNK):
-            features = self._posture_features(
-                points[some], points, take.time[some], take.time, toward[some]
-            )
-            predicted = self._predict(features, live=False)
+            times = take.time[some], take.time
+            seen = self._posture_features(points[some], points, *times, toward[some])
+            predicted = self._predict(seen, live=False)
             offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
@@ -226,8 +228,8 @@ class FourierRidge(LearnedCorrector):
         points, now = self._posture_features.points(posture), float(observation.time)
         elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
-        self._past = past = [*past, (now, points)]
-        times, around = np.array([t for t, _ in past]), np.array([x for _, x in past])
+        self._past = [*past, (now, points)]
+        times, around = map(np.array, zip(*self._past, strict=True))
         toward = direction_to(observation.sensor, 1)
         features = self._posture_features(
             points[None], around, np.array([now]), times, toward, live=True
@@ -260,9 +262,8 @@ class FourierRidge(LearnedCorrector):
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets[..., self._posture_features.carrier, :]
         for j in self.skeleton.order[1:] if missing.any() else ():
-            of_parent = shift[..., self.skeleton.parents[j], :]
-            own = shift[..., j, :]
-            shift[..., j, :] = np.where(missing[..., j, None], of_parent, own)
+            ends = shift[..., self.skeleton.parents[j], :], shift[..., j, :]
+            shift[..., j, :] = np.where(missing[..., j, None], *ends)
         moved = posture + shift
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
@@ -270,22 +271,18 @@ class FourierRidge(LearnedCorrector):
             bones = moved - moved[..., self._parents, :] * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
-        near = _ramp(found.similar[..., 1], _FAR, _NEAR)
-        turn = near * _turn(found.toward, float(self.turn_share_))
+        turn = _turn(found.toward, float(self.turn_share_))
+        turn = _ramp(found.similar[..., 1], _FAR, _NEAR) * turn
         if turn.any():
-            self._turn_away(moved, turn, found.toward[..., 0])
+            for pair in self._pairs:
+                middle = moved[..., pair, :].mean(axis=-2)
+                moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
+            for foot, side in self._feet:  # only the one behind the body
+                far = np.where(side * found.toward[..., 0] < 0.0, turn, 0.0)
+                ankle = moved[..., self._parents[foot[0]], :]
+                moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
-
-    def _turn_away(self, moved: Array, turn: Array, across: Array) -> None:
-        """Turn hips, shoulders and the foot behind the body, in place."""
-        for pair in self._pairs:
-            middle = moved[..., pair, :].mean(axis=-2)
-            moved[..., pair, :] = _turned(moved[..., pair, :], turn, middle)
-        for foot, side in self._feet:
-            far = np.where(side * across < 0.0, turn, 0.0)
-            ankle = moved[..., self._parents[foot[0]], :]
-            moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
 
 
 class _Offsets(NamedTuple):
@@ -301,19 +298,13 @@ class _Offsets(NamedTuple):
 
 
 def _share_of_constant(similar: Array, toward: Array) -> Array:
-    """Return the share of the constant offset to apply, shape (..., 1).
-
-    From the side, the sensor misplaces joints in another way than from the front.
-    """
+    """Return the share of the constant offset, that of frontal views, to apply."""
     off_frontal = _off_frontal_share(toward[..., :1], similar)
     return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:
-    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training data.
-
-    ``sine`` is that of the view angle, 0 for a person who faces the sensor.
-    """
+    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training."""
     off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
     return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
 
@@ -331,10 +322,7 @@ def turned_away(toward: Array) -> Array:
 
 
 def _turn(toward: Array, share: float) -> Array:
-    """Return the turn [rad] to the left by a ``share`` of ``turned_away``.
-
-    At a right angle to the sensor it ends.
-    """
+    """Return a share of ``turned_away`` [rad], which ends at a right angle."""
     away = turned_away(toward)
     room = np.pi / 2.0 - _TURNED - np.abs(away)
     return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))

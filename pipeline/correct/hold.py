@@ -28,10 +28,8 @@ def measurement_confidence(
     """Return how closely each joint follows its measurement, in [0, 1], shape (..., J).
 
     Reliable joints stay where they are. Unreliable ones follow the prior to the extent
-    that it knows the posture; where it does not, they stay near the measurement to the
-    extent that the positions alone look plausible. ``geometry`` is the reliability
-    without the tracking state; ``coverage``, in [0, 1], is how well the prior knows the
-    posture.
+    that it knows the posture (``coverage``); where it does not, they stay near the
+    measurement to the extent that the positions alone look plausible (``geometry``).
     """
     span = RELIABLE - UNRELIABLE
     confidence = ((reliability - UNRELIABLE) / span).clip(0.0, 1.0)
@@ -125,8 +123,8 @@ class Hold(Corrector):
     def whole(self, take: Observation, frames: Frames = None) -> Correction:  # noqa: ARG002 - no loop
         """Fill a whole take."""
         self.start()
-        found = measured_only(take.positions)
-        return replace(found, positions=self.fill(take.positions))
+        seen = take.positions
+        return replace(measured_only(seen), positions=self.fill(seen))
 
     def step(self, observation: Observation) -> Correction:
         """Fill the next frame."""

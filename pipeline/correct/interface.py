@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,32 +20,35 @@ CORRECTED_CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class _Arrays:
+    def at(self, frames: Any) -> Self:
+        """Return a frame or some of a take; None makes a take of a frame."""
+        rows = {
+            name: np.asarray(value)[frames]
+            for name, value in vars(self).items()
+            if value is not None and name != "lengths"
+        }
+        return replace(self, **rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation(_Arrays):
     """A frame on the standard body, root at the origin, facing +z.
 
     For a whole take, every array except ``lengths`` has a leading axis T.
     """
 
-    positions: Array
-    """Joint positions [m], NaN where missing, shape (J, 3)."""
-    reliability: Array
-    """Reliability in [0, 1], shape (J,)."""
-    geometry: Array
-    """Reliability without the tracking state, shape (J,)."""
-    time: Any = 0.0
-    """Time stamp [s]; for a take strictly increasing, shape (T,)."""
-    lengths: Array | None = None
-    """The person's own segment lengths [m], shape (J,)."""
+    positions: Array  # joint positions [m], NaN where missing, shape (J, 3)
+    reliability: Array  # reliability in [0, 1], shape (J,)
+    geometry: Array  # reliability without the tracking state, shape (J,)
+    time: Any = 0.0  # time stamp [s]; for a take strictly increasing, shape (T,)
+    lengths: Array | None = None  # the person's own segment lengths [m], shape (J,)
     sensor: Array | None = None
     """Position of the sensor [m] in the heading frame, shape (3,)."""
 
-    def at(self, frames: Any) -> Observation:
-        """Return a frame or some of a take; None makes a take of a frame."""
-        return replace(self, **_rows(self, frames))
-
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class Correction(_Arrays):
     """A corrected frame, in the heading frame and body size of the observation.
 
     For a whole take, every array has a leading axis T.
@@ -61,18 +64,6 @@ class Correction:
     coverage: Any
     """How well the method knows the posture, in [0, 1]: a number, or for a take an
     array of shape (T,); NaN if the method cannot say."""
-
-    def at(self, frames: Any) -> Correction:
-        """Return a frame or some of a take; None makes a take of a frame."""
-        return Correction(**_rows(self, frames))
-
-
-def _rows(values: Observation | Correction, frames: Any) -> dict[str, Any]:
-    return {
-        name: None if value is None else np.asarray(value)[frames]
-        for name, value in vars(values).items()
-        if name != "lengths"
-    }
 
 
 class Corrector:
@@ -117,11 +108,8 @@ class CorrectorChain(Corrector):
     """Runs several methods one after the other, each on the result of the one before.
 
     Joints that were not measured stay missing for all of them. Confidence, rotations
-    and coverage come from the last method.
-
-    ``least_reliability`` is the minimum reliability of measured joints in the input of
-    the last method: above 0 if the methods before it already correct the joints that
-    the sensor only inferred.
+    and coverage come from the last, whose input has at least ``least_reliability`` for
+    measured joints: above 0 if the methods before already correct inferred ones.
     """
 
     def __init__(self, *methods: Corrector, least_reliability: float = 0.0) -> None:
@@ -153,7 +141,6 @@ class CorrectorChain(Corrector):
             found, missing = call(seen), np.isnan(seen.positions)
             seen = replace(seen, positions=np.where(missing, np.nan, found.positions))
         least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_reliability)
-        reliability, geometry = (
-            np.maximum(values, least) for values in (seen.reliability, seen.geometry)
-        )
-        return calls[-1](replace(seen, reliability=reliability, geometry=geometry))
+        names = ("reliability", "geometry")
+        scores = {name: np.maximum(getattr(seen, name), least) for name in names}
+        return calls[-1](replace(seen, **scores))

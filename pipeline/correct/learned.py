@@ -26,8 +26,7 @@ class LearnedCorrector(Corrector):
     """Names of the arrays in a model file: ``joints`` is the attribute ``joints_``."""
     adjustable: ClassVar[tuple[str, ...]] = ()
     """Keywords that can change after training."""
-    joints_: Indices
-    """Indices of the corrected joints, shape (M,)."""
+    joints_: Indices  # indices of the corrected joints, shape (M,)
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.skeleton = skeleton

@@ -110,11 +110,9 @@ class LocalPCA(Corrector):
         self.start()
         count = len(take.positions)
         steps = iter(range(count) if frames is None else frames)
-        parts = []
-        for some in chunks(count, _CHUNK):
-            part = take.at(some)
-            parts.append(self._correct(part, islice(steps, len(part.positions))))
-        return joined(parts)
+        parts = map(take.at, chunks(count, _CHUNK))
+        rows = [self._correct(one, islice(steps, len(one.positions))) for one in parts]
+        return joined(rows)
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
         measured, missing = take.positions, np.isnan(take.positions[..., 0])
@@ -149,9 +147,7 @@ class LocalPCA(Corrector):
         ``measured`` positions [m] (J, 3) may be NaN where the reliability (J,) is 0.
         """
         nearest = self._neighbors(measured, reliability)
-        steady = None
-        if self._last:
-            steady = 2.0 * self._last[1] - self._last[0]  # eq. 14
+        steady = 2.0 * self._last[1] - self._last[0] if self._last else None  # eq. 14
         observed, spanned = (measured, reliability, steady), frozenset(nearest.tolist())
         if spanned == self._spanned:  # as in four of ten frames
             self.energy.aim(*observed)
@@ -174,20 +170,18 @@ class LocalPCA(Corrector):
     def _neighbors(self, measured: Array, reliability: Array) -> Indices:
         """Return the database postures nearest to the reliable joints (eq. 9).
 
-        The last posture is part of the query with a small weight, so that unreliable
-        joints do not wander through the database from frame to frame.
+        The last posture also counts a little: unreliable joints must not wander.
         """
         query, weights = measured, reliability
         if self._last:
-            last = self._last[-1].reshape(-1, 3)
             seen = np.where(reliability[:, None] > 0.0, measured, 0.0)
             weights = reliability + self.memory
-            total = reliability[:, None] * seen + self.memory * last
-            query = total / np.maximum(weights, 1e-12)[:, None]
-        count, guess = self.neighbors, self._nearest
-        nearest: Indices = self.database.neighbors(query, weights, count, guess)[0]
-        self._nearest = nearest
-        return nearest
+            last = self.memory * self._last[-1].reshape(-1, 3)
+            query = reliability[:, None] * seen + last
+            query = query / np.maximum(weights, 1e-12)[:, None]
+        found = self.database.neighbors(query, weights, self.neighbors, self._nearest)
+        self._nearest = found[0]
+        return found[0]
 
     def _cover(self, measured: Array, reliability: Array, nearest: Indices) -> Array:
         """Return how well the database knows each of the next postures, in [0, 1].
@@ -210,8 +204,7 @@ class LocalPCA(Corrector):
     def orientation(self, postures: Array, nearest: Indices, weights: Array) -> Array:
         """Return the neighbors' rotations, weighted by inverse difference (VII.B).
 
-        Postures [m] are (T, J, 3), neighbors (T, K), weights (T, J), rotations, wxyz,
-        (T, J, 4).
+        Postures [m] (T, J, 3), neighbors (T, K), weights (T, J); wxyz, (T, J, 4).
         """
         apart = self.database.positions[nearest] - postures[:, None]
         shares = 1.0 / (np.vecdot(apart, apart) @ weights[..., None] + 1e-4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -27,13 +27,11 @@ class OneEuro(Corrector):
 
     skeleton: Skeleton
     _: KW_ONLY
-    min_cutoff: float = 1.0
-    """Cutoff at rest [Hz]."""
+    min_cutoff: float = 1.0  # cutoff at rest [Hz]
     beta: float = 16.0
     """Rise of the cutoff with speed [1/m]. In steady motion a joint lags by less than
     1 / (2 pi beta)."""
-    derivative_cutoff: float = 1.0
-    """Cutoff of the speed itself [Hz]."""
+    derivative_cutoff: float = 1.0  # cutoff of the speed itself [Hz]
     walking_speed: float = np.inf
     """Speed of the root [m/s] above which it carries other joints along: each is
     filtered relative to the part of the root's velocity that it shares. Thus the trunk
@@ -58,8 +56,7 @@ class OneEuro(Corrector):
             step = max(observation.time - self._time, _LEAST_STEP)
             measured = self._filter(measured, step)
         self._time = observation.time
-        scores = observation.reliability, observation.geometry
-        return self._hold.step(Observation(measured, *scores))
+        return self._hold.step(replace(observation, positions=measured))
 
     def _filter(self, positions: Array, step: float) -> Array:
         """Return the filtered frame [m], NaN where missing, (J, 3) (algorithm 1)."""
@@ -71,19 +68,15 @@ class OneEuro(Corrector):
         self._velocity = self._velocity + share * (velocity - self._velocity)
         root = velocity[self.skeleton.root]
         walks = root if np.linalg.norm(root) < _TOP_SPEED else 0.0
-        self._walk = self._walk + share * (walks - self._walk)
-        carried = np.where(known, self._carried(), 0.0)
+        self._walk = walk = self._walk + share * (walks - self._walk)
+        # The part of the root's velocity that each joint shares [m/s].
+        shared = self._velocity @ walk / (walk @ walk + self.walking_speed**2)
+        carried = np.where(known, shared.clip(0.0, 1.0)[:, None] * walk, 0.0)
         speed = np.linalg.norm(self._velocity - carried, axis=1, keepdims=True)
         cutoff = self.min_cutoff + self.beta * speed
         moved = carried * step
         smooth = last + moved + _newest_share(cutoff, step) * (change - moved)
         return np.where(known, smooth, positions)
-
-    def _carried(self) -> Array:
-        """Return the part of the root's velocity [m/s] that each joint shares."""
-        walk = self._walk
-        shared = self._velocity @ walk / (walk @ walk + self.walking_speed**2)
-        return np.asarray(shared.clip(0.0, 1.0)[:, None] * walk)
 
 
 def _newest_share(cutoff: Array, step: float) -> Array:

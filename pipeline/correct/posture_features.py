@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags, Indices, Singles
-
-from .random_features import values_at
 
 _APART = 8.0 / 30.0  # s between a frame and those that describe its movement
 _MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 for positions [m]
@@ -26,6 +26,7 @@ _PARTS = (
 # Weight of features of the rest of the body: the smaller, the more of the training
 # carries over to new movements. Chosen by leaving one of six people and a movement out.
 _REST = 0.15
+_LINEAR = 0.8  # variance of the linear part, against 1 for the Gaussian part
 
 REACH = 2.0 * _APART  # s: older frames do not influence the features of movement
 
@@ -54,10 +55,10 @@ class PostureFeatures:
         self.limbs = self.joints[len(trunk) :]  # those of arms and legs
         rows = {int(j): k for k, j in enumerate(self.joints)}
         known = np.arange(len(rows))
-        self._mirror = np.array([rows[int(skeleton.mirror[j])] for j in self.joints])
+        self._mirror = np.array([rows[j] for j in skeleton.mirror[self.joints]])
         side = [(part in _HIDDEN) * sign for part in _LIMBS for sign in (1, -1)]
+        # 1 for left joints that the body can hide, -1 for right ones, 0 for others.
         self.sides = np.array([*np.zeros(len(trunk)), *side])
-        """1 for left joints that the body can hide, -1 for right ones, 0 for others."""
         # Segments between known joints skip the joint that only some sensors have.
         parents = skeleton.parents
         above = [parents[j] for j in self.joints[1:]]
@@ -69,9 +70,9 @@ class PostureFeatures:
         carrier = dict(rows)
         for j in skeleton.order:
             carrier.setdefault(j, carrier.get(parents[j], 0))
+        # The known joint with which each joint moves: itself, or one of its limb.
         self.carrier = np.array([carrier[j] for j in range(len(skeleton))])
-        """The known joint with which each joint moves: itself, or one of its limb."""
-        self._hips = [rows[int(j)] for j in skeleton.hips]
+        self._hips = [rows[j] for j in skeleton.hips]
         size = 3 * len(known)
         count = 3 * size + len(known) - 1 + 2
         order, signs = np.arange(count), np.ones(count)
@@ -81,15 +82,14 @@ class PostureFeatures:
         order[3 * size : -2] = 3 * size + self._mirror[1:] - 1
         signs[-2] = -1.0
         self.mirror = (order, signs)  # of the features of the mirror image
+        # Of live motion: all but the movement until later frames.
         self.live = np.delete(np.arange(count), np.arange(2 * size, 3 * size))
-        """The features of live motion: all but the movement until later frames."""
         self.parts = [_part(joints, near, size, count) for joints, near in _PARTS]
         corrected = [j for part in self.parts for j in part.joints.tolist()]
         left = np.where(np.isin(known, corrected), known, self._mirror)
         self._slots = np.array([corrected.index(j) for j in left])
         sizes = [len(part.joints) for part in self.parts]
-        self.part_of = np.repeat(np.arange(len(sizes)), sizes)[self._slots]
-        """Index of the part of each known joint, shape (M,)."""
+        self.part_of = np.repeat(np.arange(3), sizes)[self._slots]  # index, (M,)
         self.is_right = left != known  # of the known joints, shape (M,)
         self._share = np.where(self._mirror == known, 0.5, self.is_right)[:, None]
 
@@ -156,3 +156,77 @@ def _part(
     own[3 * size + rows[rows > 0] - 1] = True
     own[-2:] = True  # the direction to the sensor
     return Part(np.array(joints), own, np.where(own, 1.0, _REST).astype(np.float32))
+
+
+class RandomFeatures:
+    """Random features whose inner products approximate the kernel of the inputs.
+
+    ``count``, which is even, is the number of features besides the linear ones,
+    ``seed`` that of the frequencies. Mean and weights of the inputs have shape (F,).
+    """
+
+    def __init__(self, mean: Singles, count: int, seed: int, weights: Singles) -> None:
+        self._frequencies = _frequencies(len(mean), count // 2, seed)
+        self._mean, self._weights, self.size = mean, weights, count + len(mean)
+        self._linear = weights * np.float32(np.sqrt(_LINEAR))
+
+    def __call__(self, inputs: Singles) -> Singles:
+        """Return the random and the linear features of frames, (T, size)."""
+        half = self._frequencies.shape[1]
+        features = np.empty((len(inputs), self.size), dtype=np.float32)
+        angles = (inputs * self._weights) @ self._frequencies
+        np.cos(angles, out=features[:, :half])
+        np.sin(angles, out=features[:, half : 2 * half])
+        features[:, : 2 * half] *= np.float32(1.0 / np.sqrt(half))
+        features[:, 2 * half :] = (inputs - self._mean) * self._linear
+        return features
+
+
+@lru_cache(maxsize=8)  # every run of clean begins with the same ones
+def _frequencies(size: int, count: int, seed: int) -> Singles:
+    """Return orthogonal random frequencies, shape (size, count), read-only."""
+    blocks = -(-count // size)
+    # Raw bits and the normal quantile give the same numbers in every version of numpy.
+    bits = np.random.PCG64(seed).random_raw(blocks * size * size) >> np.uint64(11)
+    normal = ndtri((bits.astype(float) + 0.5) * 2.0**-53).reshape(blocks, size, size)
+    turns = np.linalg.qr(normal)[0]
+    lengths = np.linalg.norm(normal, axis=2, keepdims=True)
+    rows = (turns * lengths).reshape(-1, size)[:count]
+    frequencies: Singles = np.ascontiguousarray(rows.T, dtype=np.float32)
+    frequencies.flags.writeable = False
+    return frequencies
+
+
+def values_at(times: Array, values: Array, wanted: Array) -> Array:
+    """Interpolate values (N, ...) at other times; outside, the ends are held."""
+    if len(times) < 2:
+        return np.broadcast_to(values, (len(wanted), *values.shape[1:]))
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    apart = np.maximum(times[after] - times[after - 1], 1e-9)
+    share = np.clip((wanted - times[after - 1]) / apart, 0.0, 1.0)
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
+
+
+def direction_to(sensor: Array | None, count: int) -> Array:
+    """Return horizontal unit vectors (T, 2), left and ahead, from people to the sensor.
+
+    Without a sensor, or with one closer than 0.5 m, the direction is straight ahead.
+    """
+    if sensor is None:
+        return np.tile([0.0, 1.0], (count, 1))
+    flat = np.atleast_2d(sensor)[:, [0, 2]]
+    distance = np.hypot(flat[:, 0], flat[:, 1])[:, None]
+    return np.where(distance > 0.5, flat / np.maximum(distance, 0.5), [0.0, 1.0])
+
+
+def similarity_to(features: Singles, centers: Singles, squares: Singles) -> Array:
+    """Return the similarity of frames to the nearest center, in [0, 1], shape (T,).
+
+    ``squares`` are the squared lengths of the centers.
+    """
+    if not len(centers):
+        return np.zeros(len(features))
+    nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
+    nearest = nearest + np.vecdot(features, features)
+    return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))

@@ -36,14 +36,10 @@ _SPACING_ERROR = 0.05  # m, of a joint that Kinect v2 tracks, on the standard bo
 class EnergyWeights:
     """Weights of the energy terms (Shum 2013, section VI.E)."""
 
-    control: float = 1.0
-    """Pull to the measured joints, weighted by their reliability."""
-    style: float = 0.5
-    """Pull to the nearest of the neighboring postures."""
-    kinematics: float = 1.5
-    """Pull to the standard body's segment lengths."""
-    continuity: float = 0.25
-    """Pull to constant velocity over the last two frames."""
+    control: float = 1.0  # pull to the measured joints, weighted by their reliability
+    style: float = 0.5  # pull to the nearest of the neighboring postures
+    kinematics: float = 1.5  # pull to the standard body's segment lengths
+    continuity: float = 0.25  # pull to constant velocity over the last two frames
 
 
 PAPER_WEIGHTS = EnergyWeights()
@@ -67,8 +63,7 @@ class PostureSpace:
         roots, vectors = np.sqrt(values[kept]), vectors[:, kept]
         self.basis = (centered.T @ vectors) / roots
         """Orthonormal columns, largest variance first, shape (3 J, d)."""
-        self.latent = vectors * roots
-        """Latent points of the postures, shape (K, d)."""
+        self.latent = vectors * roots  # latent points of the postures, shape (K, d)
         self.squares = gram.diagonal()
         """Squared distances of the postures from the mean [m^2], shape (K,)."""
         self.deviations = roots / np.sqrt(count)
@@ -156,8 +151,7 @@ class PostureEnergy:
     def minima(self, latent: Array, bones: Array, lengths: Array) -> Array:
         """Return the minimum of the energy for each neighbor, shape (K, d).
 
-        The segment lengths are linearized at the point ``latent`` (d,), where the bones
-        are ``bones`` (S, 3) and their lengths ``lengths`` (S,).
+        Segment lengths are linearized at the point ``latent`` (d,), with bones (S, 3).
         """
         directions = bones / np.maximum(lengths, 1e-9)[:, None]
         slope = (directions[:, None] @ self._bone_basis)[:, 0]

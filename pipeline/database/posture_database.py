@@ -38,14 +38,10 @@ class PostureDatabase:
 
     positions: Singles
     """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
-    rotations: Singles
-    """Segment rotations in the same frame, wxyz, shape (N, J, 4)."""
-    labels: NDArray[np.str_]
-    """Name of the motion of each posture, shape (N,)."""
-    skeleton: Skeleton
-    """The joints, in the order of the arrays."""
-    source: str = "database"
-    """Where the database came from, for messages."""
+    rotations: Singles  # segment rotations in the same frame, wxyz, shape (N, J, 4)
+    labels: NDArray[np.str_]  # name of the motion of each posture, shape (N,)
+    skeleton: Skeleton  # the joints, in the order of the arrays
+    source: str = "database"  # where the database came from, for messages
     recorded: bool = False
     """True if the postures, and thus their variation, are those of recorded people."""
 
@@ -167,7 +163,7 @@ class PostureIndex:
         low = np.minimum.reduceat(flat, starts)
         high = np.maximum.reduceat(flat, starts)
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
-        self._reach = np.abs(flat).max(axis=0).astype(np.float64)
+        self._reach = np.abs(flat).max(axis=0).astype(float)
         # Single precision: every query reads all of it, so memory bandwidth counts.
         squares = np.sum(flat.reshape(positions.shape) ** 2, axis=2)
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)
@@ -202,9 +198,8 @@ class PostureIndex:
         if len(self._middle) == 1:
             away = self._products @ query  # here, rows are in the original order
             if guess is None or len(guess) < count:
-                best = float(np.partition(away, count - 1)[count - 1])
-            else:
-                best = float(away[guess].max())  # no nearer than the one looked for
+                guess = np.argpartition(away, count - 1)[:count]
+            best = float(away[guess].max())  # no nearer than the one looked for
             return np.flatnonzero(away <= best + slack)
         constant = float(np.vdot(weighted, seen))
         # Lower bounds of D, from the distance of the posture to each box.

@@ -56,8 +56,7 @@ def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices
     """Return the indices of about ``count`` postures that the threshold rule keeps.
 
     Bisects the threshold until the rule keeps the count, within 2 %, of the postures
-    [m], shape (N, J, 3). Postures that a threshold dropped although it kept too many
-    are not tried again with larger ones.
+    [m] (N, J, 3). What a threshold that keeps too many drops is not tried again.
     """
     rest = kept = np.arange(len(positions))
     if len(positions) <= count:
@@ -72,8 +71,6 @@ def filter_to_count(positions: NDArray[np.floating[Any]], count: int) -> Indices
             break
         if len(kept) <= count:
             high = middle
-            continue
-        low = middle
-        if len(kept) <= most:
-            rest = kept
+        else:
+            low, rest = middle, kept if len(kept) <= most else rest
     return kept

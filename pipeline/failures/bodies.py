@@ -32,9 +32,8 @@ _SINKING = 0.25  # s that a body takes to sink so far, or to come up again
 class ImpossibleBodies:
     """Frame-by-frame detector of bodies of another size or at an impossible place.
 
-    It knows only the past. A person who stays elsewhere, or stays at another size, is
-    accepted after half a second. A person who stays elsewhere is also accepted as soon
-    as they have been there for longer than they were at the place before.
+    A person who stays elsewhere, or stays at another size, is accepted after half a
+    second; elsewhere also once they stay for longer than at the place before.
     """
 
     appears: bool
@@ -62,19 +61,15 @@ class ImpossibleBodies:
             return False
         lengths = segment_lengths(positions, self._skeleton)[self._skeleton.segments]
         size = float(_lower_median(lengths / self._lengths))
-        return self._has_wrong_size(size, time) or self._is_elsewhere(time, place)
-
-    def _has_wrong_size(self, size: float, time: float) -> bool:
-        if np.isnan(size):
-            return False
-        sizes = self._sizes
-        if not sizes:
-            sizes.extend([(time, 1.0)] * _PRIOR_FRAMES)
-        while sizes and sizes[0][0] < time - 2.0 * _BRIEF:
-            sizes.popleft()
-        sizes.append((time, size))
-        usual = median_low(s for _, s in sizes)
-        return not usual / _SIZE_FACTOR <= size <= usual * _SIZE_FACTOR
+        if not np.isnan(size):
+            sizes = self._sizes = self._sizes or deque([(time, 1.0)] * _PRIOR_FRAMES)
+            while sizes and sizes[0][0] < time - 2.0 * _BRIEF:
+                sizes.popleft()
+            sizes.append((time, size))
+            usual = median_low(s for _, s in sizes)
+            if not usual / _SIZE_FACTOR <= size <= usual * _SIZE_FACTOR:
+                return True
+        return self._is_elsewhere(time, place)
 
     def _is_elsewhere(self, time: float, place: Array) -> bool:
         if _is_reachable(self._last, time, place):
@@ -96,10 +91,7 @@ def _is_reachable(seen: tuple[float, Array] | None, time: float, place: Array) -
 
 
 def _lower_median(values: Array) -> Array:
-    """Return the lower median along axis 0 ignoring NaN; NaN where all values are.
-
-    For a few rows, ``np.nanmedian`` takes five times as long.
-    """
+    """Return the lower median along axis 0 without NaN; ``np.nanmedian`` is slow."""
     ordered = np.sort(values, axis=0)
     known = np.count_nonzero(ordered == ordered) // max(ordered[0].size, 1)
     return np.asarray(ordered[max(known - 1, 0) // 2])
@@ -120,10 +112,7 @@ def stray_joints(positions: Array, middle: Array) -> Flags:
 
 
 def sunken_frames(take: Take) -> Flags:
-    """Return the frames in which the body sinks through the floor for a moment, (T,).
-
-    A tracker that loses a person behind another one may let the body fall.
-    """
+    """Return the frames in which the body briefly sinks through the floor, (T,)."""
     skeleton, time = take.skeleton, take.time
     hips = take.positions[:, skeleton.root, 1]
     ankles = take.positions[:, list(skeleton.sides("Ankle")), 1]
@@ -146,11 +135,10 @@ def middles(positions: Array) -> Array:
 
 
 def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
-    """Return the frames with the body at an impossible place, and those where it jumps.
+    """Return the frames with the body at an impossible place, and where it jumps, (T,).
 
-    Both have shape (T,). The frames between two jumps are impossible if they are brief
-    or out of the sensor's range; otherwise the body continues from there, as trackers
-    do jump from one person to another.
+    Frames between two jumps are impossible if they are brief or out of the sensor's
+    range; otherwise the body continues there: trackers do jump to another person.
     """
     wrong, jumps = np.zeros((2, len(take)), dtype=bool)
     middle = middles(take.positions)
@@ -165,13 +153,13 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     for way in (pieces[longest:], [p[::-1] for p in pieces[longest::-1]]):
         last = way[0][-1]
         for piece in way[1:]:
-            gap = np.abs(time[piece[0]] - time[last])
-            if not _reachable(places[last], places[piece[0]], gap):
-                far = np.linalg.norm(places[piece[0]] - places[last]) > _RANGE
+            first, gap = piece[0], np.abs(time[piece[0]] - time[last])
+            if not _reachable(places[last], places[first], gap):
+                far = np.linalg.norm(places[first] - places[last]) > _RANGE
                 if far or np.ptp(time[piece]) < _BRIEF:
                     wrong[known[piece]] = True
                     continue
-                jumps[known[[last, piece[0]]]] = True
+                jumps[known[[last, first]]] = True
             last = piece[-1]
     return wrong, jumps
 

@@ -30,9 +30,8 @@ def find_displaced(
 ) -> Iterator[Failure]:
     """Yield the stretches in which cleaning moved a limb far relative to the hips.
 
-    Joint positions [m], shape (T, J, 3), are those of the sensor, NaN where missing,
-    and those after cleaning; time stamps [s] increase strictly, shape (T,); ``yaw`` is
-    the heading of the person [rad], shape (T,).
+    Positions [m] (T, J, 3) are those of the sensor, NaN where missing, and those after
+    cleaning; time stamps [s] (T,) increase strictly, and ``yaw`` (T,) is the heading.
     """
     hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
@@ -51,5 +50,5 @@ def find_displaced(
                         far[part] |= uniform_filter1d(away[part], frames) > _FAR
             what = FailureKind.DISPLACED, f"{side.lower()} {limb}"
             for part in parts:
-                for failure in stretches(time[part], *what, far[part]):
-                    yield failure.moved(part.start)
+                found = stretches(time[part], *what, far[part])
+                yield from (failure.moved(part.start) for failure in found)

@@ -51,10 +51,9 @@ def exchanged_frames(take: Take, part: str) -> Flags:
     for some in (last, rest):
         same, other = _moved(take, some)
         leap &= same < other
-    places = take.positions[:, last], take.positions[:, first]
     straight, crosswise = (
-        np.linalg.norm(places[0] - ends, axis=2).sum(axis=1)
-        for ends in (places[1], places[1][:, ::-1])
+        np.linalg.norm(take.positions[:, last] - ends, axis=2).sum(axis=1)
+        for ends in (take.positions[:, first], take.positions[:, first[::-1]])
     )
     frames = np.zeros(len(take), dtype=bool)
     ends = (np.flatnonzero(leap) + 1).tolist()
@@ -64,23 +63,24 @@ def exchanged_frames(take: Take, part: str) -> Flags:
 
 
 def _moved(take: Take, joints: Indices) -> tuple[Array, Array]:
-    """Return how far joints are from where they and the other side were a frame before.
-
-    Means over joints [m], each (T - 1,), NaN where none is known.
-    """
-    seen, mirror = take.positions, take.skeleton.mirror[joints]
-    ways = (seen[1:, joints] - seen[:-1, some] for some in (joints, mirror))
-    same, other = (np.linalg.norm(way, axis=2) for way in ways)
-    known = np.isfinite(same) & np.isfinite(other)
+    """Return how far joints are from where they and the other side were before [m]."""
+    seen, before = take.positions, (joints, take.skeleton.mirror[joints])
+    ways = [np.linalg.norm(seen[1:, joints] - seen[:-1, k], axis=2) for k in before]
+    known = np.asarray(np.isfinite(ways).all(axis=0))
     count = np.where(known.any(axis=1), known.sum(axis=1), np.nan)
-    moved = [np.where(known, one, 0.0).sum(axis=1) / count for one in (same, other)]
-    return moved[0], moved[1]
+    same, other = (np.where(known, way, 0.0).sum(axis=1) / count for way in ways)
+    return same, other
 
 
 def put_back(take: Take, part: str, frames: slice) -> Take:
     """Return a take with left and right of a part of EXCHANGED put back in frames."""
-    joints, mirrored = exchanged_joints(take.skeleton, part), take.swapped(frames)
-    positions, state = take.positions.copy(), take.state.copy()
-    positions[:, joints] = mirrored.positions[:, joints]
-    state[:, joints] = mirrored.state[:, joints]
+    joints = exchanged_joints(take.skeleton, part)
+    flags = np.isin(np.arange(len(take.skeleton)), joints)
+    return with_joints(take, take.swapped(frames), flags)
+
+
+def with_joints(take: Take, other: Take, joints: Flags) -> Take:
+    """Return a take with flagged joints, (J,) or (T, J), from another one."""
+    positions = np.where(joints[..., None], other.positions, take.positions)
+    state = np.where(joints, other.state, take.state)
     return replace(take, positions=positions, state=state)

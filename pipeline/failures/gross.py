@@ -13,21 +13,9 @@ from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.plain import times_told
 
-from .bodies import (
-    middles,
-    misplaced_frames,
-    stray_joints,
-    sunken_frames,
-    wrong_size_frames,
-)
+from . import bodies
 from .exchanged import EXCHANGED, exchanged_frames, put_back
-from .limb_failures import (
-    LIMBS,
-    bent_backwards,
-    leaps,
-    out_of_range,
-    through_head,
-)
+from .limb_failures import LIMBS, bent_backwards, leaps, out_of_range, through_head
 from .sides import swapped_back, swapped_frames
 
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
@@ -81,15 +69,11 @@ class Failure:
     """A stretch of a take in which the tracker failed."""
 
     kind: FailureKind
-    """What is wrong."""
-    part: str
-    """What it is wrong with: ``body``, ``left arm``, ``right leg`` and so on."""
-    first: int
+    part: str  # what is wrong: ``body``, ``left arm``, ``right leg`` and so on
+    first: int  # frame
     last: int
-    """Its first and its last frame."""
-    start: float
+    start: float  # time stamps of these frames [s]
     end: float
-    """The time stamps of these [s]."""
 
     @property
     def frames(self) -> slice:
@@ -106,14 +90,13 @@ def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, .
 
     Times are relative to ``begin``, the time stamp of the first frame [s].
     """
-    groups: dict[tuple[str, FailureKind], list[Failure]] = {}
-    for failure in failures:
-        groups.setdefault((failure.part, failure.kind), []).append(failure)
-    sentences = []
-    for (part, kind), group in groups.items():
-        when = times_told([(f.start - begin, f.end - begin) for f in group])
-        sentences.append(f"{part} {kind} ({when}): {kind.done}")
-    return tuple(sentences)
+    groups: dict[tuple[str, FailureKind], list[tuple[float, float]]] = {}
+    for f in failures:
+        groups.setdefault((f.part, f.kind), []).append((f.start - begin, f.end - begin))
+    return tuple(
+        f"{part} {kind} ({times_told(times)}): {kind.done}"
+        for (part, kind), times in groups.items()
+    )
 
 
 def find_failures(
@@ -122,20 +105,20 @@ def find_failures(
     """Return the gross failures in a take, time stamps strictly increasing.
 
     Where edits say ``exchanged``, (T,), sides count as swapped if otherwise they would
-    not, and the other way around. ``distrusted`` joints (T, J), as named after that,
-    have no failures.
+    not, and the other way around; ``distrusted`` joints (T, J) have no failures.
     """
     if len(take) < 2:
         return ()
     time, kind = take.time, FailureKind
-    found = list(stretches(time, kind.ODD_SIZE, "body", wrong_size_frames(take)))
+    odd = bodies.wrong_size_frames(take)
+    found = list(stretches(time, kind.ODD_SIZE, "body", odd))
     take = take.without(lost_joints(found, take))
-    stray = stray_joints(take.positions, middles(take.positions))
+    stray = bodies.stray_joints(take.positions, bodies.middles(take.positions))
     for joint, frames in zip(take.skeleton.joints, stray.T, strict=True):
         found += stretches(time, kind.STRAY, joint, frames)
-    found += stretches(time, kind.SUNKEN, "body", sunken_frames(take))
+    found += stretches(time, kind.SUNKEN, "body", bodies.sunken_frames(take))
     take = take.without(lost_joints(found, take))
-    wrong, jumps = misplaced_frames(take)
+    wrong, jumps = bodies.misplaced_frames(take)
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
     take = take.without(lost_joints(found, take))
@@ -146,8 +129,7 @@ def find_failures(
     if exchanged is not None:
         swapped = swapped ^ exchanged[:, None]
     for part, which in _SIDES_OF.items():
-        frames = (swapped == which).all(axis=1)
-        found += stretches(time, kind.MIRRORED, part, frames)
+        found += stretches(time, kind.MIRRORED, part, (swapped == which).all(axis=1))
     take = unmirrored(take, found)  # sides are named as they are once swapped back
     if distrusted is not None:
         take = take.without(distrusted)
@@ -176,8 +158,7 @@ def stretches(
 def lost_joints(failures: Iterable[Failure], take: Take) -> Flags:
     """Return True for joints whose measurements failures make worthless, (T, J).
 
-    They are joints of impossible bodies, stray ones, and limbs at impossible places,
-    from the elbow or knee outwards.
+    Those of impossible bodies, stray ones, and impossible limbs from elbow or knee.
     """
     lost, skeleton = np.zeros(take.state.shape, dtype=bool), take.skeleton
     for failure in failures:

@@ -18,9 +18,7 @@ _CLEARANCE = 0.12
 """Distance [m] between the center lines of forearm and head at which they touch: half
 the breadth of a head, 15 cm, plus the radius of a forearm, 4.5 cm, rounded. In recorded
 arms that mocap agrees with it is 16 cm or more, in lost ones less than 11."""
-_FOREARM = 0.75
-"""Share of the forearm, from the elbow, that is judged: the hand may be anywhere on
-the head or behind it, and the sensor's wrists are some centimeters off."""
+_FOREARM = 0.75  # share of it, from the elbow, that is judged: hands may touch the head
 _OVER_HEAD = 0.17
 """Height [m] of a wrist above the middle of the head from which a forearm whose elbow
 is at most _CLEARANCE below that middle passes over the crown, not through the head. In
@@ -32,9 +30,8 @@ _ADDUCTION = np.radians(135.0)
 """How far an arm reaches across the chest [rad], 0 to the side and a quarter turn to
 the front: horizontal adduction, for which textbooks give 130 to 135 degrees."""
 _TOLERANCE = np.radians(15.0)
-"""How far out of its range an upper arm has to be [rad] to count, because of the
-sensor's errors: twice the maximum in 126 clips of marker mocap, except for one of 19
-degrees whose arm goes through the trunk."""
+"""How far out of its range an upper arm has to be [rad] to count: twice the maximum in
+126 clips of mocap, except for one of 19 degrees whose arm goes through the trunk."""
 _MEDIAN_TIME = 0.3  # s of the running median before a limb is judged
 _LEAP = 0.6
 """How far a joint of a limb jumps, as a share of the segment that ends there: 35
@@ -43,9 +40,7 @@ _LEAP_TIME = 1.0 / 15.0
 """Time [s] too short for a movement from rest to rest: the fastest voluntary
 contractions last about a tenth of a second, however small they are (Freund & Buedingen
 1978, Experimental Brain Research 31:1-12)."""
-_REST = 0.1
-"""Time [s] before and after a jump in which movement counts against it: a limb that is
-really quick is still moving then."""
+_REST = 0.1  # s before and after a jump, in which a really quick limb is still moving
 _SLACK = 1.25  # times _LEAP_TIME that two frames of an uneven clock may be apart
 LIMBS = {"arm": ("Shoulder", "Elbow", "Wrist"), "leg": ("Hip", "Knee", "Ankle")}
 """Joints of a limb, from the trunk outwards."""
@@ -56,8 +51,7 @@ def bent_backwards(take: Take, side: str) -> Flags:
     hip, knee, ankle = (_joint(take, part, side) for part in ("Hip", "Knee", "Ankle"))
     front = unit(np.cross(_across(take, "Hip"), _upward(take)))
     leg, thigh = ankle - hip, knee - hip
-    squares = np.maximum(np.sum(leg * leg, axis=1), 1e-9)
-    along = np.sum(thigh * leg, axis=1) / squares
+    along = np.sum(thigh * leg, axis=1) / np.maximum(np.sum(leg * leg, axis=1), 1e-9)
     ahead = np.sum((thigh - along[:, None] * leg) * front, axis=1)
     length = np.linalg.norm(thigh, axis=1) + np.linalg.norm(ankle - knee, axis=1)
     median = column_medians(length[:, None])
@@ -66,10 +60,7 @@ def bent_backwards(take: Take, side: str) -> Flags:
 
 
 def through_head(take: Take, side: str) -> Flags:
-    """Return the frames in which a forearm is inside the neck or head, shape (T,).
-
-    A sensor that loses an arm behind or next to the head may place it in the head.
-    """
+    """Return the frames in which a forearm is inside the neck or head, shape (T,)."""
     elbow, wrist = _joint(take, "Elbow", side), _joint(take, "Wrist", side)
     neck, head = take.positions[:, take.skeleton.girdle], _joint(take, "Head")
     distances = _distances(elbow, _FOREARM * (wrist - elbow), neck, head)
@@ -94,8 +85,8 @@ def out_of_range(take: Take, side: str) -> Flags:
     across = -np.cos(_ADDUCTION) * ahead - np.sin(_ADDUCTION) * inward
     lowered = np.sum(arm * up, axis=1) < _RAISED
     beyond = np.where(lowered, np.minimum(-across, inward), -1.0)
-    beyond = np.nan_to_num(beyond, nan=-1.0)
-    return np.asarray(_running_median(take, beyond) > np.sin(_TOLERANCE))
+    beyond = _running_median(take, np.nan_to_num(beyond, nan=-1.0))
+    return np.asarray(beyond > np.sin(_TOLERANCE))
 
 
 def leaps(take: Take, side: str, limb: str) -> Flags:
@@ -116,8 +107,8 @@ def leaps(take: Take, side: str, limb: str) -> Flags:
         # The longer side's median is the true length, as lost limbs shrink.
         longest = max(np.nan_to_num(column_medians(lengths)).max(), 1e-3)
         far = _contrasts(bones[side] / longest, lag, rest) > _LEAP
-        for k in np.flatnonzero(far & quick):
-            frames[k : k + lag + 1] = True
+        for k in range(lag + 1):
+            frames[k : len(take) - lag + k] |= far & quick
     return frames
 
 

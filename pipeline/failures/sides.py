@@ -9,7 +9,6 @@ live, the cheapest path so far. A single sensor may have arms and legs change si
 different times.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations, product
@@ -22,6 +21,7 @@ from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import find_yaw
 
+from .exchanged import with_joints
 from .trunk import steadied
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -43,7 +43,7 @@ _LEAP = 3.0  # weight of the distance that they move between twice ``_AROUND``
 _AROUND = 0.1  # s before and after a change
 
 
-class CheapestPath(ABC):
+class CheapestPath:
     """Follows which of some choices (N, ...) holds, frame by frame (Viterbi 1967)."""
 
     def __init__(self, choices: NDArray[Any]) -> None:
@@ -54,15 +54,17 @@ class CheapestPath(ABC):
         """Reset the state for a new motion."""
         self._costs = np.zeros(len(self._choices))
 
-    @abstractmethod
     def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice so far, and what ``whole`` needs to trace back."""
+        """Return the best choice so far, and what ``whole`` needs to trace back.
+
+        ``seen`` are the arguments of ``_next``, or what a subclass finds them from.
+        """
+        return self._next(*seen)
 
     def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice, and each choice's predecessor on its cheapest path.
+        """Return the best choice, and each one's predecessor on its cheapest path.
 
-        ``costs`` are those of this frame's choices (N,), ``ways`` those of getting to
-        them from the last frame's (N, N).
+        ``costs`` are those of the choices (N,), ``ways`` those of getting there (N, N).
         """
         ways = self._costs[:, None] + ways
         costs = costs + ways.min(axis=0)
@@ -72,10 +74,7 @@ class CheapestPath(ABC):
     def whole(self, frames: Iterable[tuple[Any, ...]]) -> NDArray[Any]:
         """Return the choice in each frame (T, ...), given the arguments of ``step``."""
         self.start()
-        return self._traced([self.step(*frame)[1] for frame in frames])
-
-    def _traced(self, predecessors: list[NDArray[np.uint16]]) -> NDArray[Any]:
-        """Return the choices on the cheapest path to now (T, ...)."""
+        predecessors = [self.step(*frame)[1] for frame in frames]
         path = [int(self._costs.argmin())]
         for before in predecessors[:0:-1]:
             path.append(int(before[path[-1]]))
@@ -124,21 +123,12 @@ class Sides(CheapestPath):
         return self._next(ways, costs)
 
 
-class _Precomputed(CheapestPath):
-    """Follows choices (N, ...) of which the costs are known for each frame."""
-
-    def step(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice so far; the arguments are those of ``_next``."""
-        return self._next(ways, costs)
-
-
 def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     """Return which way bodies face by their sides, and how surely by how they bend.
 
     Horizontal unit vectors (N, 3), and numbers in [-1, 1] (N,), negative if they bend
     the other way. The sign is right in 98 % of the frames of people who walk forward
-    and in 76 % of people who walk backward (p10 to p18 of two-kinects). The farther the
-    trunk leans over, the less counts.
+    and in 76 % of people who walk backward (p10 to p18 of two-kinects).
     """
     forward = _direction(_yaw(seen, skeleton))
     trunk = seen[:, skeleton.girdle] - seen[:, skeleton.root]
@@ -148,12 +138,11 @@ def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
         joints = [joint for name in names for joint in skeleton.sides(name)]
         return np.asarray(seen[:, joints].mean(axis=1))
 
-    head = seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]
     bends = (
         middle("Knee") - middle("Hip", "Ankle"),
         middle("Shoulder", "Wrist") - middle("Elbow"),
         0.5 * (middle("Wrist") - middle("Shoulder")),
-        0.5 * head,
+        0.5 * (seen[:, skeleton.index("Head")] - seen[:, skeleton.girdle]),
     )
     total = np.nan_to_num(bends).sum(axis=0)
     sure = np.tanh(np.nan_to_num(np.vecdot(total, forward)) / _BEND)
@@ -181,10 +170,7 @@ def _distance(points: Array, others: Array, weights: Array) -> Array:
 
 
 def _weights_of_pairs(seen: Array, weights: Array, mirror: Indices) -> Array:
-    """Return how much joints count (..., J), 0 unless both sides of a pair are seen.
-
-    A limb alone would have nothing to be compared with once sides change.
-    """
+    """Return how much joints count (..., J), 0 unless both sides of a pair are seen."""
     weights = np.where(np.isnan(seen[..., 0]), 0.0, weights)
     return np.asarray(np.minimum(weights, weights[..., mirror]))
 
@@ -195,7 +181,11 @@ def swapped_frames(take: Take) -> Flags:
     Both face the same way, but may change sides at different times.
     """
     choices = np.array(list(product((False, True), repeat=2)))
-    costs = np.outer(_costs_of_facing(take), choices.mean(axis=1))
+    forward, facing = _facing(take.positions, take.skeleton)
+    root = take.positions[:, take.skeleton.root]
+    velocity = root_velocity(take.time, root) / _WALKING
+    facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
+    costs = np.outer(_SWAPPED + _FACING * facing, choices.mean(axis=1))
     costs += _APART * (choices[:, 0] != choices[:, 1])
     ways = np.zeros((len(take), 4, 4))
     legs = _below(take.skeleton, "Hip")
@@ -205,23 +195,13 @@ def swapped_frames(take: Take) -> Flags:
         same, other = _costs_of_moving(take, joints)
         changes = choices[:, None, k] != choices[:, k]
         ways += np.where(changes, other[:, None, None], same[:, None, None])
-    return _Precomputed(choices).whole(zip(ways, costs, strict=True))
-
-
-def _costs_of_facing(take: Take) -> Array:
-    """Return what it costs that sides are swapped, by which way people face, (T,)."""
-    root = take.positions[:, take.skeleton.root]
-    forward, facing = _facing(take.positions, take.skeleton)
-    velocity = root_velocity(take.time, root) / _WALKING
-    facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
-    return np.asarray(_SWAPPED + _FACING * facing)
+    return CheapestPath(choices).whole(zip(ways, costs, strict=True))
 
 
 def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:
     """Return what it costs that joints keep or change sides, as they move, (T,).
 
-    A limb may change sides over a few frames, so where it was a tenth of a second
-    before and after each frame counts besides the last frame.
+    Limbs may change over some frames: what was 0.1 s before and after counts as well.
     """
     seen, time, count = take.positions, take.time, len(take)
     mirror = take.skeleton.mirror
@@ -233,14 +213,15 @@ def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:
     middle = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     before = (np.searchsorted(time, middle - _AROUND, "right") - 1).clip(min=0)
     after = np.searchsorted(time, middle + _AROUND).clip(max=count - 1)
-    costs = []
-    for others, change in ((joints, 0.0), (mirror[joints], _CHANGE)):
+
+    def cost(others: Indices, change: float) -> Array:
         step, leap = (
             _distance(seen[b][:, others], seen[a][:, joints], sure[a] * sure[b])
             for a, b in ((last, now), (before, after))
         )
-        costs.append(0.5 * (_CONTINUITY * (step + change) + _LEAP * leap))
-    return costs[0], costs[1]
+        return np.asarray(0.5 * (_CONTINUITY * (step + change) + _LEAP * leap))
+
+    return cost(joints, 0.0), cost(mirror[joints], _CHANGE)
 
 
 def root_velocity(time: Array, root: Array) -> Array:
@@ -248,36 +229,31 @@ def root_velocity(time: Array, root: Array) -> Array:
     known = np.isfinite(root[:, 0])
     if not known.any():
         return np.zeros_like(root)
-    ends = [
-        np.transpose([np.interp(t, time[known], column[known]) for column in root.T])
-        for t in (time - _STRIDE, time + _STRIDE)
-    ]
-    return np.asarray((ends[1] - ends[0]) / (2.0 * _STRIDE))
+    ends = np.array([time - _STRIDE, time + _STRIDE])
+    places = [np.interp(ends, time[known], column[known]) for column in root.T]
+    return np.asarray(np.diff(places, axis=1)[:, 0].T / (2.0 * _STRIDE))
 
 
 def swapped_back(take: Take, swapped: Flags) -> Take:
     """Return a take with sides swapped back, as from ``swapped_frames`` (T, 2).
 
-    Toes of people whom the sensor takes for others who face it point at the sensor;
-    they are turned to their mirror image in the frontal plane. Hips and shoulders turn
-    evenly where sides change, and where they do not show which way they face.
+    Toes that point at the sensor, as if people faced it, are mirrored in the frontal
+    plane. Hips and shoulders turn evenly where sides change or they show nothing.
     """
-    skeleton, mirrored = take.skeleton, take.swapped()
-    frames, legs = swapped.T
+    skeleton, (frames, legs) = take.skeleton, swapped.T
     behind = np.repeat(frames[:, None], len(skeleton), axis=1)
     behind[:, _below(skeleton, "Hip")] = legs[:, None]
-    positions = np.where(behind[..., None], mirrored.positions, take.positions)
-    state = np.where(behind, mirrored.state, take.state)
-    face = take.face
-    if face is not None:  # nobody has one who is seen from behind
-        face = np.where(frames[:, None], np.nan, face)
-    changes = (np.flatnonzero(np.diff(frames)) + 1).tolist()
-    mended = replace(take, positions=positions, state=state, face=face)
-    positions = steadied(mended, changes).positions.copy()
-    yaw = _yaw(positions, skeleton)
+    mended = with_joints(take, take.swapped(), behind)
+    if take.face is not None:  # nobody has one who is seen from behind
+        face = np.where(frames[:, None], np.nan, take.face)
+        mended = replace(mended, face=face)
+    changes = np.flatnonzero(np.diff(frames)) + 1
+    positions = steadied(mended, changes.tolist()).positions.copy()
+    forward = _direction(_yaw(positions, skeleton)[legs])
     for foot in skeleton.sides("Foot"):
-        ankle = positions[legs, skeleton.parents[foot]]
-        positions[legs, foot] = _in_front(positions[legs, foot], ankle, yaw[legs])
+        toes, ankle = positions[legs, foot], positions[legs, skeleton.parents[foot]]
+        back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
+        positions[legs, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
     return replace(mended, positions=positions)
 
 
@@ -285,10 +261,3 @@ def _below(skeleton: Skeleton, name: str) -> list[int]:
     """Return the joints of both limbs that begin at joints of a name, without these."""
     ends = skeleton.sides(name)
     return [j for end in ends for j in skeleton.descendants(end) if j not in ends]
-
-
-def _in_front(toes: Array, ankles: Array, yaw: Array) -> Array:
-    """Return toes, mirrored at the ankle's frontal plane if they are behind it."""
-    forward = _direction(yaw)
-    behind = np.fmin(np.vecdot(toes - ankles, forward), 0.0)
-    return np.asarray(toes - 2.0 * behind[:, None] * np.nan_to_num(forward))

@@ -51,15 +51,16 @@ def steadied(take: Take, changes: Sequence[int]) -> Take:
     away = wrapped(yaw - heading[:, None])
     good &= ~wrung[:, None] | (np.abs(away) < 0.5 * _WRUNG)
     bad, positions = known & ~good, take.positions.copy()
-    for pair, ok, some in zip(range(2), good.T, bad.T, strict=True):
+    for k, (left, right) in enumerate(pairs):
+        ok, some, line = good[:, k], bad[:, k], level[:, k]
         if ok.any() and some.any():
-            reach = np.abs(level[:, pair])
-            way = heading + np.interp(time, time[ok], away[ok, pair])
+            way = heading + np.interp(time, time[ok], away[ok, k])
+            reach = np.abs(line)
             reach = np.maximum(reach, np.interp(time, time[ok], reach[ok]))
-            turned = reach * np.exp(1j * way) - level[:, pair]
+            turned = reach * np.exp(1j * way) - line
             half = 0.5 * np.stack([turned.real, 0.0 * reach, -turned.imag], axis=1)
-            positions[some, pairs[pair, 0]] += half[some]
-            positions[some, pairs[pair, 1]] -= half[some]
+            positions[some, left] += half[some]
+            positions[some, right] -= half[some]
     return replace(take, positions=positions)
 
 

@@ -61,20 +61,18 @@ class Carry:
         self.prop, self._torn, self._lifted = prop, 0.0, False
         self._width = float(np.linalg.norm(hands[0] - hands[1]))
         self._gap = self._narrowest = performer.gap
-        self._turn = performer.turn(hands)
+        self._carried, self._turn = hands, performer.turn(hands)
         middle = performer.palms.mean(axis=0)
         self._offset, self._grasped_at = hands.mean(axis=0) - middle, middle[1]
-        self._rested_at = prop.center[1]
-        self._shift, self._clear, self._yield = np.zeros(3), 0.0, np.zeros((2, 3))
-        self._carried = hands
+        self._rested_at, self._clear = prop.center[1], 0.0
+        self._shift, self._yield = np.zeros(3), np.zeros((2, 3))
 
     def step(
         self, performer: PerformerHands, hands: Array, front: Array
     ) -> Array | None:
         """Return where the hands (2, 3) carry the prop [m]; None if they let it go.
 
-        ``hands`` are where they are now, and ``front`` the points of the body that the
-        prop must not touch, (N, 3) [m].
+        ``hands`` are where they are now; the prop must not touch ``front`` (N, 3) [m].
         """
         pulls, supported = self.prop.pulls, self.prop.supported
         if self._lets_go(performer, float(pulls.max()), supported):

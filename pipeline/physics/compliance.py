@@ -20,8 +20,6 @@ from kinefilter.characters.rotations import inverse, multiply, rotation_vector, 
 from kinefilter.characters.tracking import GameTracking
 from kinefilter.retarget.stance import smooth_step
 
-from .spring import damped
-
 FALLEN_DAMPING = 8.0
 """Joint damping of a fallen body, relative to a limp one. A guess: at 1, bodies that
 are thrown hard spin out of control."""
@@ -38,10 +36,9 @@ _RETURN_RATE = 4.0  # 1/s, of the distance that is left, at the end. A guess.
 class Compliance:
     """Effect of hits on the targets and the pulls of one body, y up.
 
-    Attributes:
-        fallen: Whether a hit knocked the body down, so that nothing is to pull it.
-        recovered: Share of the pulls that a rising body has back, otherwise 1.
-        acceleration: Acceleration of the target by the sway [m/s^2], shape (J, 3).
+    ``fallen``: a hit knocked the body down, so that nothing is to pull it;
+    ``recovered``: the share of the pulls that a rising body has back, otherwise 1;
+    ``acceleration`` of the target by the sway [m/s^2], shape (J, 3).
     """
 
     def __init__(self, body: Body, tracking: GameTracking) -> None:
@@ -53,7 +50,7 @@ class Compliance:
         self._swaying = float(joint_masses(body) @ self._sways**2)
         edges = np.zeros((len(heights), len(heights)))
         edges[body.skeleton.segments, body.skeleton.segment_parents] = 1.0
-        self._joints_apart = shortest_path(edges, directed=False, unweighted=True)
+        self._joints_apart = shortest_path(edges, directed=False)
         self._soft = tracking.hit_frequency / tracking.natural_frequency
         self.start()
 
@@ -96,14 +93,12 @@ class Compliance:
         """
         model, force = data.model, np.empty(6)
         bodies = model.geom_bodyid[data.contact.geom]
-        own, hits = joints[bodies] >= 0, props[bodies]
-        for k in np.flatnonzero((own & hits[:, ::-1]).any(axis=1)):
-            for segment, prop, sign in ((0, 1, -1.0), (1, 0, 1.0)):
-                if own[k, segment] and hits[k, prop]:
-                    mujoco.mj_contactForce(model, data, k, force)
-                    world_force = force[:3] @ data.contact.frame[k].reshape(3, 3)
-                    impulse = sign * model.opt.timestep * world_force
-                    self.hit(joints[bodies[k, segment]], from_mujoco(impulse))
+        hit = (joints[bodies] >= 0) & props[bodies[:, ::-1]]
+        for k, segment in np.argwhere(hit):
+            mujoco.mj_contactForce(model, data, k, force)
+            world_force = force[:3] @ data.contact.frame[k].reshape(3, 3)
+            impulse = (-1.0, 1.0)[segment] * model.opt.timestep * world_force
+            self.hit(joints[bodies[k, segment]], from_mujoco(impulse))
 
     def forget_hits(self) -> None:
         """Forget the hits that ``take_hits`` has not taken yet."""
@@ -158,29 +153,22 @@ class Compliance:
             rotations = self._between(relative, own, share)
             root = root + share * (goal - root)
             positions = positions_from_rotations(rotations, root, self._body)
-            if share == 1.0:
-                self._return(dt)
+            distance = float(np.linalg.norm(self._offset))
+            if share == 1.0 and distance < 1e-3:
+                self._lying = None
+            elif share == 1.0:
+                eased = smooth_step(np.array(self._since - self._tracking.rising))
+                pace = float(eased) * self._tracking.return_speed
+                pace = min(_RETURN_RATE * distance, pace)
+                self._offset *= 1.0 - pace * dt / distance
         return positions + self._sways[:, None] * self._sway, rotations
 
-    def _return(self, dt: float) -> None:
-        distance, tracking = float(np.linalg.norm(self._offset)), self._tracking
-        eased = float(smooth_step(np.array(self._since - tracking.rising)))
-        pace = min(_RETURN_RATE * distance, eased * tracking.return_speed)
-        if distance < 1e-3:
-            self._lying = None
-        else:
-            self._offset *= 1.0 - pace * dt / distance
-
     def _between(self, one: Array, other: Array, share: Array) -> Array:
-        """Return world rotations between two sets of relative ones.
-
-        Not on the shortest arc, which may leave a joint's range, but on a straight line
-        of rotation vectors, whose angles all stay within it.
-        """
+        """Return world rotations between two sets of relative ones."""
         from scipy.spatial.transform import Rotation
 
-        skeleton = self._body.skeleton
-        world = slerp(one, other, share)
+        skeleton, world = self._body.skeleton, slerp(one, other, share)
+        # The shortest arc may leave a joint's range; a line of rotation vectors stays.
         line = (1.0 - share) * rotation_vector(one) + share * rotation_vector(other)
         relative = Rotation.from_rotvec(line).as_quat(scalar_first=True)
         for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
@@ -194,3 +182,15 @@ def relative_rotations(rotations: Array, skeleton: Skeleton) -> Array:
     parents = inverse(rotations[skeleton.segment_parents])
     relative[ends] = multiply(parents, rotations[ends])
     return relative
+
+
+def damped(
+    off: Array, speed: Array, frequency: float, dt: float
+) -> tuple[Array, Array]:
+    """Return how far a critically damped spring is from rest, and its velocity.
+
+    These are in m and m/s, ``dt`` [s] later; its natural frequency is in rad/s.
+    """
+    drift, decay = speed + frequency * off, np.exp(-frequency * dt)
+    later = off + drift * dt
+    return later * decay, (drift - frequency * later) * decay

@@ -8,20 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import positions_from_rotations
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import continuous, slerp
+from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
 from .moves import Move
 from .pulled_character import PulledCharacter, check_target
-from .resets import bridge_resets
 from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
+# Of resets. Guesses.
+_FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
+_LONGEST_LOST = 1.0  # s
+_BLENDING_TIME = 0.2  # s before, in which the pose goes to its target
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +34,12 @@ class PhysicsTrace:
     """Record of a simulation, frame by frame; arrays of shape (T,)."""
 
     tracking_error: Array  # mean distance of the joints from their targets [m]
-    external_force: Array
-    """Mean force over the frame that only the pulls explain [body weights]."""
-    contacts: NDArray[np.int64]
-    """Number of points in which the character touches itself or anything else."""
+    external_force: Array  # mean over the frame, that only the pulls explain [weights]
+    contacts: NDArray[np.int64]  # points in which it touches itself or anything else
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
     or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
-    that the motion is bridged (``resets``); forces are those of the simulation."""
+    that, ``bridge_resets`` changes the motion; forces are those of the simulation."""
 
     @property
     def status(self) -> str:
@@ -63,10 +66,8 @@ class Performance:
     time: Array  # time stamps [s], strictly increasing, shape (T,)
     positions: Array
     rotations: Array
-    stands: Flags | None = None
-    """Whether each foot (left, right) bears weight, shape (T, 2); None if none does."""
-    seen: Flags | None = None
-    """Whether the sensor saw each hand, shape (T, 2); None if it always did."""
+    stands: Flags | None = None  # which feet bear weight, (T, 2); None if none does
+    seen: Flags | None = None  # which hands the sensor saw, (T, 2); None if always both
 
 
 class _Cue:
@@ -102,13 +103,11 @@ class _Cue:
 
     def target(self, k: int) -> tuple[Array, Array]:
         """Return positions (J, 3) and rotations (J, 4) at a time stamp."""
-        person, share = self._person, self._share[k]
+        share, p, q = self._share[k], self._person.positions, self._person.rotations
         one, two = self._before[k], self._after[k]
         if share == 1.0:
-            return person.positions[two], person.rotations[two]
-        ends = person.positions[one], person.positions[two]
-        turns = slerp(person.rotations[one], person.rotations[two], share)
-        return ends[0] + share * (ends[1] - ends[0]), turns
+            return p[two], q[two]
+        return p[one] + share * (p[two] - p[one]), slerp(q[one], q[two], share)
 
     def stands(self, k: int) -> Flags | None:
         """Return which feet bear weight."""
@@ -121,30 +120,25 @@ class _Cue:
         changes = character.compliance is not None or character.grasp.props
         if not changes and self._is_own[k] and self._is_own[k - 1]:
             return self._own_move(after)
-        gained = self._accelerations[after]
-        if not self._is_own[k]:
-            gained = np.zeros_like(gained)
+        gained = np.where(self._is_own[k], self._accelerations[after], 0.0)
         seen = None if self._person.seen is None else self._person.seen[after]
         return character.plan(*self.target(k), dt, acceleration=gained, seen=seen)
 
     def _own_move(self, frame: int) -> Move:
-        """Return the move to one of the person's frames from the frame before.
-
-        Nothing changes these targets, so they are planned many at a time.
-        """
+        """Return the move to one of the person's frames, planned many at a time."""
         chunk, row = divmod(frame, _CHUNK)
         if self._planned is None or self._planned[0] != chunk:
-            there = np.arange(len(self._person.time))[chunk * _CHUNK :][:_CHUNK]
+            person = self._person
+            there = np.arange(len(person.time))[chunk * _CHUNK :][:_CHUNK]
             back = np.maximum(there - 1, 0)
-            dt = self._person.time[there] - self._person.time[back]
-            positions, rotations = self._person.positions, self._person.rotations
-            moves = self.character.planner(
-                (to_mujoco(positions[back]), to_mujoco(rotations[back])),
-                (to_mujoco(positions[there]), to_mujoco(rotations[there])),
-                to_mujoco(self._accelerations[there]),
-                np.where(dt > 0.0, dt, 1.0),  # the very first is not used
+            before, after = (
+                (to_mujoco(person.positions[k]), to_mujoco(person.rotations[k]))
+                for k in (back, there)
             )
-            self._planned = chunk, moves
+            dt = person.time[there] - person.time[back]
+            dt = np.where(dt > 0.0, dt, 1.0)  # the very first is not used
+            gained = to_mujoco(self._accelerations[there])
+            self._planned = chunk, self.character.planner(before, after, gained, dt)
         return self._planned[1][row]
 
     def record(self, k: int, *, reset: bool) -> None:
@@ -164,11 +158,11 @@ class _Cue:
         target = person.rotations, person.positions[:, body.skeleton.root]
         resets = np.flatnonzero(self._trace.reset)
         bridge_resets(person.time, (self._turns, self._roots), target, resets, body)
-        joints = np.empty_like(self._person.positions)
+        joints = np.empty_like(person.positions)
         for some in chunks(len(joints), _CHUNK):
             pose = self._turns[some], self._roots[some]
-            joints[some] = positions_from_rotations(*pose, self.character.body)
-            away = np.linalg.norm(joints[some] - self._person.positions[some], axis=-1)
+            joints[some] = positions_from_rotations(*pose, body)
+            away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)
             self._trace.tracking_error[some] = away.mean(axis=-1)
         return PhysicsResult(continuous(self._turns), joints, self._trace, self._props)
 
@@ -217,3 +211,40 @@ def _accelerations(time: Array, positions: Array) -> Array:
     longest = np.maximum(steps[1:], steps[:-1])
     accelerations[1:-1] = np.where(longest > LONG_GAP, 0.0, inner)
     return accelerations
+
+
+def bridge_resets(
+    time: Array,
+    pose: tuple[Array, Array],
+    target: tuple[Array, Array],
+    resets: Indices,
+    body: Body,
+) -> None:
+    """Blend the pose into the target before each reset, so that nothing jumps.
+
+    Lost limbs thrash; the target may be a posture that no body can take, but it moves
+    as the sensor saw it.
+
+    Pose, which is changed, and target are rotations, wxyz, (T, J, 4), and positions of
+    the root [m], (T, 3), at each time stamp [s]. ``resets`` are frames of resets.
+    """
+    # Between resets in a row there is nothing to blend.
+    for stop in resets[np.diff(resets, prepend=-2) > 1]:
+        earliest = time[stop] - _LONGEST_LOST
+        start = int(np.searchsorted(time, earliest - _BLENDING_TIME))
+        before = slice(start, int(stop))
+        (turns, roots), (wanted, there) = (
+            (rotations[before], root[before]) for rotations, root in (pose, target)
+        )
+        away = positions_from_rotations(turns, roots, body)
+        away -= positions_from_rotations(wanted, there, body)
+        follows = (np.linalg.norm(away, axis=-1) < _FOLLOWED).all(axis=-1)
+        # A limb that comes back only for a moment does not follow.
+        now = time[before]
+        left = np.maximum.accumulate(np.where(follows, -np.inf, now))
+        lost = max([earliest, *now[now - left > _BLENDING_TIME][-1:]])
+        share = np.clip(1.0 + (now - lost) / _BLENDING_TIME, 0.0, 1.0)
+        turns[:] = slerp(turns, wanted, share[:, None])
+        roots += share[:, None] * (there - roots)
+        heights = positions_from_rotations(turns, roots, body)[..., 1]
+        roots[:, 1] += floor_penetration(heights, clearances(body))

@@ -19,8 +19,8 @@ from kinefilter.retarget.bent_limb import Reach
 from kinefilter.retarget.stance import smooth_step
 
 from .carry import STRENGTH, Carry, PerformerHands
+from .compliance import damped
 from .holdable import HANDS, HORIZONTAL, UP, Holdable
-from .spring import damped
 
 # All of these are guesses, tried on scripted performances with a box.
 _SEEN = 0.3  # reliability of a hand that is seen well enough to let go
@@ -46,8 +46,7 @@ def seen_hands(reliability: Array, skeleton: Skeleton) -> Flags:
 class Grasp:
     """The hands of a character in a scene with props that have ties (``add_ties``).
 
-    At most one prop is held at a time. The names of the character's parts begin with
-    a ``prefix``.
+    They hold one prop at most. Names of the character's parts begin with ``prefix``.
     """
 
     def __init__(self, data: mujoco.MjData, body: Body, prefix: str = "") -> None:
@@ -72,7 +71,7 @@ class Grasp:
         self._released = self.held if props_stay else None
         self._carry = self._sought = None
         self._waited = self._leaving = 0.0
-        self._away, self._rate = np.zeros((2, 3)), np.zeros((2, 3))
+        self._away, self._rate, self._beside = np.zeros((3, 2, 3))
         self._before: Array | None = None
         for prop in self.props:
             prop.untie()
@@ -80,12 +79,12 @@ class Grasp:
     @property
     def held(self) -> Holdable | None:
         """What the hands hold."""
-        return None if self._carry is None else self._carry.prop
+        return self._carry.prop if self._carry else None
 
     @property
     def weight(self) -> float:
         """Weight of what is held [N]."""
-        return 0.0 if self._carry is None else self._carry.prop.weight
+        return self._carry.prop.weight if self._carry else 0.0
 
     def drop(self) -> None:
         """Let go of what is held, if anything."""
@@ -106,8 +105,10 @@ class Grasp:
         wanted = np.zeros((2, 3))
         if self._carry is None:
             wanted = self._seek(performer)
-            if self._leaving > 0.0:
-                wanted = self._leave(performer)
+            if self._leaving > 0.0:  # first aside from what the hands put down
+                self._leaving -= dt
+                outward = unit(self._beside - self._beside.mean(axis=0))
+                wanted = self._beside + _AROUND * outward - performer.palms
         if self._carry is not None:
             sites = from_mujoco(self._data.site_xpos[self._front])
             thighs = 0.5 * (sites[2:4] + sites[4:6])
@@ -128,17 +129,12 @@ class Grasp:
         self, positions: Array, seen: Flags | None, dt: float
     ) -> PerformerHands:
         palms, shoulders = positions[self._palms], positions[self._shoulders]
-        before = palms if self._before is None else self._before
+        velocity = (palms - (palms if self._before is None else self._before)) / dt
         self._before = palms
         left = unit((shoulders[0] - shoulders[1]) * HORIZONTAL)
-        return PerformerHands(
-            palms=palms,
-            velocity=(palms - before) / dt,
-            seen=np.ones(2, dtype=bool) if seen is None else seen,
-            side=np.array([left, cross(left, UP)]),
-            root=positions[self._root],
-            dt=dt,
-        )
+        side, root = np.array([left, cross(left, UP)]), positions[self._root]
+        seen = np.ones(2, dtype=bool) if seen is None else seen
+        return PerformerHands(palms, velocity, seen, side, root, dt)
 
     @property
     def _now(self) -> Array:
@@ -148,30 +144,29 @@ class Grasp:
     def _seek(self, performer: PerformerHands) -> Array:
         """Return the moves (2, 3) of the hands to a prop; tie them if they touch it."""
         palms, nothing = performer.palms, np.zeros((2, 3))
-        if self._waited == 0.0:
+        waited, self._waited = self._waited, 0.0
+        if waited == 0.0:
             self._sought = self._nearest(palms)
         prop = self._sought
-        places = None if prop is None else prop.places(palms)
-        if prop is None or places is None:
-            self._waited = 0.0
+        if prop is None or (places := prop.places(palms)) is None:
             return nothing
         lines = places - palms
         far = float(np.linalg.norm(lines, axis=-1).max())
         behind = performer.behind(palms) or performer.behind(places)
-        if behind or far > (_LOST if self._waited else _FAR):
-            self._waited = 0.0
+        if behind or far > (_LOST if waited else _FAR):
             return nothing
         closing = np.vecdot(unit(lines), performer.velocity).max()
         share = (_FAR - far) / (_FAR - _NEAR)
-        if self._waited > 0.0 or (share > _LIKELY and closing < _SETTLED):
-            self._waited += performer.dt
-            share = 1.0
-        if self._waited > _PATIENCE:
+        if waited > 0.0 or (share > _LIKELY and closing < _SETTLED):
+            waited, share = waited + performer.dt, 1.0
+        if waited > _PATIENCE:
             self._release(prop)
             return nothing
-        hands, waited = self._now, self._waited
+        hands = self._now
         if waited > 0.0 and prop.touched(hands):
-            self._carry, self._waited = Carry(prop, hands, performer), 0.0
+            self._carry = Carry(prop, hands, performer)
+        else:
+            self._waited = waited
         reached = self._around(prop, places, hands) - palms
         return smooth_step(np.array(np.clip(share, 0.0, 1.0))) * reached
 
@@ -179,8 +174,7 @@ class Grasp:
         """Return the prop nearest to the palms, if they are near it."""
         best, found = _FAR, None
         for prop in self.props:
-            places = prop.places(palms)
-            far = np.inf
+            places, far = prop.places(palms), np.inf
             if places is not None:
                 far = float(np.linalg.norm(places - palms, axis=-1).max())
             if prop is self._released:  # until the hands have left it
@@ -203,12 +197,3 @@ class Grasp:
     def _release(self, prop: Holdable) -> None:
         prop.untie()
         self._carry, self._released, self._waited = None, prop, 0.0
-
-    def _leave(self, performer: PerformerHands) -> Array:
-        """Return the moves (2, 3) of hands that first go aside from what they put down.
-
-        From there they go to where the performer's are.
-        """
-        self._leaving -= performer.dt
-        outward = unit(self._beside - self._beside.mean(axis=0))
-        return np.asarray(self._beside + _AROUND * outward - performer.palms)

@@ -48,24 +48,29 @@ def _props_of(model: mujoco.MjModel) -> Indices:
     return np.asarray(model.body_weldid[model.geom_bodyid])
 
 
+def mesh_points(model: mujoco.MjModel, geom: int) -> Array:
+    """Return the points of a geom's mesh [m], in the frame of the geom, (N, 3)."""
+    mesh = model.mesh(model.geom_dataid[geom])
+    first = int(mesh.vertadr[0])
+    return np.asarray(model.mesh_vert[first : first + int(mesh.vertnum[0])])
+
+
 def _corners(data: mujoco.MjData, geom: int) -> Array:
     """Return the corners of a mesh, or of the box around another geom, (N, 3) [m]."""
     model = data.model
-    middle, half = model.geom_aabb[geom].reshape(2, 3)
-    points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
     if model.geom_type[geom] == _MESH:
-        mesh = model.mesh(model.geom_dataid[geom])
-        first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        points = model.mesh_vert[first : first + count]
+        points = mesh_points(model, geom)
+    else:
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        points = middle + half * (2.0 * np.indices((2, 2, 2)).reshape(3, 8).T - 1.0)
     turn = data.geom_xmat[geom].reshape(3, 3)
     return np.asarray(data.geom_xpos[geom] + points @ turn.T)
 
 
 class Holdable:
-    """A movable prop, with a tie to each hand of the character.
+    """A movable prop, tied to the character's ``hands``, by the names of their bodies.
 
-    ``palm`` is the distance of the hands' surface from their joints [m], and ``hands``
-    are the names of the hands' bodies.
+    ``palm`` is the distance of the hands' surface from their joints [m].
     """
 
     def __init__(
@@ -101,16 +106,18 @@ class Holdable:
         return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
 
     @property
+    def _matrix(self) -> Array:
+        return np.asarray(self._data.xmat[self._body].reshape(3, 3))
+
+    @property
     def center(self) -> Array:
         """Center of the box around it [m], shape (3,)."""
-        turn = self._data.xmat[self._body].reshape(3, 3)
-        return from_mujoco(self._data.xpos[self._body] + turn @ self._middle)
+        return from_mujoco(self._data.xpos[self._body] + self._matrix @ self._middle)
 
     @property
     def _axes(self) -> Array:
         """Directions along its edges, rows (3, 3)."""
-        turn = self._data.xmat[self._body].reshape(3, 3)
-        return from_mujoco((turn @ self._turn).T)
+        return from_mujoco((self._matrix @ self._turn).T)
 
     def extent(self, direction: Array) -> float:
         """Return its half extent along a unit vector (3,) [m]."""
@@ -133,8 +140,7 @@ class Holdable:
 
     def touched(self, hands: Array) -> bool:
         """Return True if hands at (2, 3) [m] are where they can hold it."""
-        places = self.places(hands)
-        if places is None:
+        if (places := self.places(hands)) is None:
             return False
         away, side = hands - places, unit(places[0] - places[1])
         across = away @ side
@@ -148,11 +154,10 @@ class Holdable:
         points = to_mujoco(hands + self._palm * unit(hands[::-1] - hands))
         for hand, tie, point in zip(self._hands, self._ties, points, strict=True):
             for body, part in ((hand, 0), (self._body, 3)):
-                turn = data.xmat[body].reshape(3, 3)
-                local = turn.T @ (point - data.xpos[body])
+                local = data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body])
                 self._model.eq_data[tie, part : part + 3] = local
             data.eq_active[tie] = 1
-        self._lay = data.xmat[self._body].reshape(3, 3)[2].copy()
+        self._lay = self._matrix[2].copy()
 
     def untie(self) -> None:
         """Let the hands go."""
@@ -161,11 +166,9 @@ class Holdable:
 
     def put_back(self) -> None:
         """Put it where the scene has it, at rest."""
-        joint = self._model.jnt(int(self._model.body_jntadr[self._body]))
-        start, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-        place = slice(start, start + 7)
-        self._data.qpos[place] = self._model.qpos0[place]
-        self._data.qvel[speed : speed + 6] = 0.0
+        joint = self._data.joint(int(self._model.body_jntadr[self._body]))
+        joint.qpos[:] = self._model.joint(joint.id).qpos0
+        joint.qvel[:] = 0.0
 
     @property
     def pulls(self) -> Array:
@@ -189,15 +192,14 @@ class Holdable:
         height, down = self.extent(UP) + _SLACK, to_mujoco(-UP)
         # From beneath it, as rays also hit what they start in.
         start = to_mujoco(self.center - (height - 2.0 * _SLACK) * UP)
-        found = np.zeros(1, dtype=np.int32)
-        own = self._body
-        far = mujoco.mj_ray(self._model, self._data, start, down, None, 1, own, found)
+        engine, found = (self._model, self._data), np.zeros(1, dtype=np.int32)
+        far = mujoco.mj_ray(*engine, start, down, None, 1, self._body, found)
         return bool(0.0 <= far < 3.0 * _SLACK)
 
     def turn_level(self) -> None:
         """Turn it as level as it was when tied, with the torque of both wrists."""
         data, body = self._data, self._body
-        up, spin = data.xmat[body].reshape(3, 3) @ self._lay, data.cvel[body, :3]
+        up, spin = self._matrix @ self._lay, data.cvel[body, :3]
         turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
         torque = float(self._model.body_inertia[body].max()) * turning
         data.xfrc_applied[body, 3:] = at_most(_WRISTS, torque)

@@ -12,10 +12,9 @@ class Momentum:
     """Balance of the character's linear momentum over each frame, in MuJoCo's world.
 
     The engine reports the forces at the beginning of a substep but integrates others,
-    as it evaluates damping at the substep's end unless a force is at its bound. So what
-    the pulls gave is computed from the momentum that was gained. ``masses`` [kg] move
-    with the sites at the character's joints, both of shape (J,); ``pulls`` are its
-    actuators.
+    as it evaluates damping at its end. So what the pulls gave is computed from the
+    momentum that was gained. ``masses`` [kg] move with the sites at the joints, both
+    (J,); ``pulls`` are its actuators.
     """
 
     def __init__(

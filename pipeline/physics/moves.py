@@ -18,19 +18,13 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """The way from one target to the next, in MuJoCo's world.
-
-    Several moves in a row have a leading axis T.
-    """
+    """The way from one target to the next, in MuJoCo's world; several have axis T."""
 
     duration: Any  # time that it takes [s]
-    before: tuple[Array, Array]
-    """Joint positions [m] and rotations, wxyz, at its beginning, (J, 3) and (J, 4)."""
+    before: tuple[Array, Array]  # joints [m] and rotations, wxyz, (J, 3) and (J, 4)
     after: tuple[Array, Array]  # the same at its end
-    forward: Array
-    """Controls of the pulls that do not depend on the pose, shape (pulls,)."""
-    left_share: Any
-    """Share of the body that the left foot bears if both are planted, in [0, 1]."""
+    forward: Array  # controls of the pulls that the pose does not change, (pulls,)
+    left_share: Any  # of the body that the left foot bears if both stand, in [0, 1]
 
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
@@ -42,9 +36,8 @@ class Move:
 class MovePlanner:
     """Plans the moves of one body.
 
-    Each torque of the pulls acts on a joint of ``turned``, shape (N,), about an axis in
-    the frame of its segment, shape (N, 3). ``damping`` is that of the pulls, (pulls,);
-    it can be set.
+    Each torque of the pulls acts on a joint of ``turned`` (N,), about an axis in the
+    frame of its segment (N, 3). ``damping`` of the pulls (pulls,) can be set.
     """
 
     def __init__(
@@ -85,5 +78,4 @@ class MovePlanner:
         across, middle = left - right, self._shares @ after[0][..., :2]
         left_share = np.vecdot(middle - right, across)
         left_share = left_share / np.maximum(np.vecdot(across, across), 1e-6)
-        left_share = left_share.clip(0.0, 1.0)
-        return Move(duration, before, after, forward, left_share)
+        return Move(duration, before, after, forward, left_share.clip(0.0, 1.0))

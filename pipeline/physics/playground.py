@@ -63,7 +63,11 @@ class Playground:
         placed: bool = False,
     ) -> None:
         clips = [motions] if isinstance(motions, Clip) else motions
-        self.motions = _placed(clips) if placed else _beside(clips)
+        if placed:
+            place = _beginning(clips[0])
+            self.motions = [_closed(clip, place) for clip in clips]
+        else:
+            self.motions = _beside(clips)
         self.motion = self.motions[0]
         self.scene, self.tracking = scene, tracking
         self._frames: deque[list[tuple[Any, ...]]] | None = None
@@ -119,15 +123,14 @@ class Playground:
         moves, feet = [], []
         for character, motion in self._pairs:
             positions, rotations, stands = self._target(motion)
-            frame = self._frame(motion)
-            seen = seen_hands(motion.reliability[frame], motion.skeleton)
+            reliability = motion.reliability[self._frame(motion)]
+            seen = seen_hands(reliability, motion.skeleton)
             moves.append(character.plan(positions, rotations, dt, seen=seen))
             feet.append(stands)
         self.resets += int(np.sum(~self.world.follow(moves, feet)))
         self.scene_props.record(0)
         if self._frames is not None:
-            props = self.scene_props.poses[0].copy()
-            rows = []
+            props, rows = self.scene_props.poses[0].copy(), []
             for character, motion in self._pairs:
                 contacts = motion.contacts[self._frame(motion)]
                 pose = character.root, character.rotations, contacts
@@ -162,10 +165,7 @@ class Playground:
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
-        """Return what a ray hits first if it is a character: its number and a joint.
-
-        The joint ends the part that is hit.
-        """
+        """Return what a ray hits first if it is a character: its number and a joint."""
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
         model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
         hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
@@ -204,10 +204,9 @@ class Playground:
         """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
         ball = next(self._balls)
         start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        data, place, speed = self.world.data, ball.qposadr[0], ball.dofadr[0]
-        data.qpos[place : place + 3] = start
-        data.qvel[speed : speed + 6] = 0.0
-        data.qvel[speed : speed + 3] = _BALL_SPEED * (way / np.linalg.norm(way))
+        joint = self.world.data.joint(ball.id)
+        joint.qpos[:3], joint.qvel[:] = start, 0.0
+        joint.qvel[:3] = _BALL_SPEED * (way / np.linalg.norm(way))
 
     @property
     def props(self) -> tuple[Prop, ...]:
@@ -229,15 +228,11 @@ class Playground:
         self._frames = deque(maxlen=_LONGEST)
 
     def recorded(self) -> list[Clip]:
-        """Stop the recording and return each character's clip.
-
-        Raises InputError if it is too short.
-        """
+        """Stop recording; return each character's clip. InputError if too short."""
         frames, self._frames = self._frames or deque(), None
         if len(frames) < 2:
             raise InputError("nothing was recorded; play for a moment before stopping")
-        columns = zip(self.motions, zip(*frames, strict=True), strict=True)
-        return [self._clip(motion, rows) for motion, rows in columns]
+        return list(map(self._clip, self.motions, zip(*frames, strict=True)))
 
     def _clip(self, played: Clip, frames: tuple[tuple[Any, ...], ...]) -> Clip:
         columns = map(np.array, zip(*frames, strict=True))
@@ -245,13 +240,9 @@ class Playground:
         current, self.scene_props.poses = self.scene_props.poses, poses
         props = tuple(prop for prop in self.props if not _is_parked(prop))
         self.scene_props.poses = current
-        motion = Motion(
-            time=np.cumsum(steps) - steps[0],
-            body=played.body,
-            root=root,
-            rotations=rotations,
-            source="kinefilter play",
-        )
+        time, body = np.cumsum(steps) - steps[0], played.body
+        moved = {"time": time, "root": root, "rotations": rotations}
+        motion = Motion(body=body, source="kinefilter play", **moved)
         return Clip.of(motion, contacts=contacts, external_force=force, props=props)
 
 
@@ -263,29 +254,18 @@ def _doing(character: PulledCharacter) -> str:
 
 
 def _beside(clips: Sequence[Clip]) -> list[Clip]:
-    """Return closed motions that begin beside each other, the first at the origin.
-
-    Odd ones begin on the left of the first, even ones on its right.
-    """
+    """Return closed motions that begin side by side, odd ones left of the first."""
     motions = [_closed(clip, _beginning(clip)) for clip in clips]
-    ends, moved = [0.0, 0.0], []
+    right, left, moved = 0.0, 0.0, []
     for number, motion in enumerate(motions):
         across = motion.positions[0, :, 0]
+        least, most = float(across.min()), float(across.max())
         place = 0.0
         if number:
-            side = number % 2
-            reach = _BESIDE - (across.min() if side else -across.max())
-            place = ends[side] + reach if side else ends[side] - reach
-        ends[0] = min(ends[0], place + float(across.min()))
-        ends[1] = max(ends[1], place + float(across.max()))
+            place = left + (_BESIDE - least) if number % 2 else right - (_BESIDE + most)
+        right, left = min(right, place + least), max(left, place + most)
         moved.append(replace(motion, root=motion.root + np.array([place, 0.0, 0.0])))
     return moved
-
-
-def _placed(clips: Sequence[Clip]) -> list[Clip]:
-    """Return closed motions where their clips have them, the first at the origin."""
-    place = _beginning(clips[0])
-    return [_closed(clip, place) for clip in clips]
 
 
 def _beginning(clip: Clip) -> HeadingFrame:

@@ -51,10 +51,9 @@ def check_target(positions: Array, rotations: Array) -> None:
 class PulledCharacter:
     """The humanoid of one body, stepped from one target posture to the next.
 
-    It stands in T-pose at the origin until ``start`` puts it elsewhere. Targets are
-    joint positions [m], shape (J, 3), and segment rotations, wxyz, (J, 4), in the world
-    frame. It is alone in a world of its own, unless it is given one with others. Raises
-    InputError as ``World``.
+    It stands in T-pose at the origin until ``start``. Targets are joint positions [m]
+    (J, 3), and segment rotations, wxyz, (J, 4), in the world frame. It is alone in a
+    world of its own, unless it is given one. Raises InputError as ``World``.
     """
 
     def __init__(
@@ -73,7 +72,8 @@ class PulledCharacter:
         names = [f"{prefix}{name}" for name in joints]
         self._sites = np.array([model.site(name).id for name in names])
         self._bodies = np.array([model.body(name).id for name in names])
-        self.root_body = root = int(self._bodies[body.skeleton.root])
+        self._root_joint = body.skeleton.root
+        self.root_body = root = int(self._bodies[self._root_joint])
         ends = [model.joint(names[j]) for j in body.skeleton.segments]
         self._balls = np.array([ball.qposadr[0] for ball in ends])
         free = model.joint(names[body.skeleton.root])
@@ -84,8 +84,7 @@ class PulledCharacter:
         # For each body of the model the joint at its end, -1 if not the character's.
         self.joint_of = np.full(model.nbody, -1)
         self.joint_of[self._bodies] = np.arange(len(joints))
-        # Forces, then torques, of which the first three are the root's, then one per
-        # segment.
+        # Forces, then torques: three of the root's, then one per segment.
         self.group = PULLS - number
         pulls = np.flatnonzero(model.actuator_group == self.group)
         self._pulls = slice(int(pulls[0]), int(pulls[-1]) + 1)
@@ -106,8 +105,7 @@ class PulledCharacter:
         own = np.isin(model.geom_bodyid, self._bodies)
         self._geoms = np.flatnonzero(own)
         self._collisions = model.geom_contype[own], model.geom_conaffinity[own]
-        self.is_part = own
-        """Which geoms of the model are the character's."""
+        self.is_part = own  # which geoms of the model are the character's
         self._is_other = ~own
         self._is_other[model.geom("floor").id] = False
         self.grasp = Grasp(self.data, body, prefix)
@@ -121,8 +119,8 @@ class PulledCharacter:
         self.compliance = None
         if isinstance(tracking, GameTracking):
             self.compliance = Compliance(body, tracking)
+        # Whether nothing pulls the character, so that it falls; can be set.
         self.limp = isinstance(tracking, RagdollTracking)
-        """Whether nothing pulls the character, so that it falls; can be set."""
         self.start(body.rest_positions, np.tile(IDENTITY, (len(joints), 1)))
 
     def start(
@@ -136,11 +134,9 @@ class PulledCharacter:
         check_target(positions, rotations)
         self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
-        self._velocity = np.zeros_like(self._target[0])
-        self.feet.start()
-        self.momentum.start()
-        self._external = np.zeros(3)
-        self._limbs.start()
+        self._velocity, self._external = np.zeros_like(self._target[0]), np.zeros(3)
+        for part in (self.feet, self.momentum, self._limbs):
+            part.start()
         self.grasp.start(props_stay=not reset_props)
         self._pushes: list[tuple[int, Array, float]] = []
         if self.compliance is not None:
@@ -171,12 +167,11 @@ class PulledCharacter:
         stands: Flags | None = None,
         seen: Flags | None = None,
     ) -> bool:
-        """Advance by dt [s] towards a target; return False if it had to be reset.
+        """Advance by dt [s] towards a target, as in ``plan``; False if it was reset.
 
-        Afterwards ``positions``, ``rotations`` and ``root`` are those of the new pose.
-        Arguments are those of ``plan``. ``stands`` says whether each foot (left, right)
-        bears weight; by default none does, and the pulls carry the body. In a world
-        with others, call ``plan`` for each and then ``World.follow``.
+        ``stands`` says whether each foot (left, right) bears weight; by default none
+        does, and the pulls carry the body. In a world with others, call ``plan`` for
+        each and then ``World.follow``.
         """
         move = self.plan(positions, rotations, dt, seen=seen)
         return bool(self.world.follow([move], [stands])[0])
@@ -192,10 +187,9 @@ class PulledCharacter:
     ) -> Move:
         """Return the move to a target within dt [s], for ``World.follow``.
 
-        The acceleration of the target [m/s^2], shape (J, 3), is by default that of the
-        last two steps, half a frame late. What is held stays in hands that the sensor
-        has not ``seen``, shape (2,). Raises InputError if the target is not finite or
-        no time passes.
+        The acceleration of the target [m/s^2] (J, 3) is by default that of the last two
+        steps, half a frame late. What is held stays in hands that the sensor has not
+        ``seen`` (2,). Raises InputError if the target is not finite or no time passes.
         """
         check_target(positions, rotations)
         if not 0.0 < dt < np.inf:
@@ -231,9 +225,8 @@ class PulledCharacter:
             data.xfrc_applied[part, :3] += given
             self._pushed += given
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
-        n, ctrl = move.after[0].size, data.ctrl[self._pulls]
-        ctrl[n:] = move.forward[n:]
-        self._forward = move.forward[:n]
+        n = move.after[0].size
+        self._forward, data.ctrl[self._pulls][n:] = move.forward[:n], move.forward[n:]
         if (held := self.grasp.weight) > 0.0:
             self._forward = self._forward.copy()
             self._forward.reshape(-1, 3)[self._palms, 2] += 0.5 * held
@@ -248,13 +241,11 @@ class PulledCharacter:
     def aim(self, share: float) -> None:
         """Aim the pulls at the point that lies at a share of the move."""
         (before_p, before_q), (after_p, after_q) = self._move.before, self._move.after
-        n = after_p.size
-        point = before_p + share * (after_p - before_p)
+        point, n = before_p + share * (after_p - before_p), after_p.size
         ctrl = self.data.ctrl[self._pulls]
         ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
         # The engine normalizes these quaternions.
-        turns = before_q + share * (after_q - before_q)
-        self.data.mocap_quat[self._mocap] = turns
+        self.data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
 
     def feel(self) -> None:
         """Note what the last substep did to the character."""
@@ -289,15 +280,12 @@ class PulledCharacter:
         for part, force, left in self._pushes:
             gives.hit(self.joint_of[part], from_mujoco(force) * min(left, dt))
         speed = float(np.linalg.norm(self.data.qvel[self._speeds][:3]))
-        if self.limp and gives.can_rise(dt, speed):
-            self.limp = False
+        self.limp = self.limp and not gives.can_rise(dt, speed)
         if self._was_limp and not self.limp:
-            gives.rise(self.root, self.rotations, positions[self.body.skeleton.root])
+            gives.rise(self.root, self.rotations, positions[self._root_joint])
             self._target = self.data.site_xpos[self._sites], to_mujoco(self.rotations)
             self._velocity = np.zeros_like(positions)
-        if not self.limp:
-            self.limp = gives.take_hits(dt)
-        self._was_limp = self.limp
+        self._was_limp = self.limp = self.limp or gives.take_hits(dt)
         share = gives.frequencies
         share = np.concatenate([share.repeat(3), share[self._turned]])
         stiffness, damping = self._gains
@@ -329,9 +317,8 @@ class PulledCharacter:
         return self._limbs.step(pose, self._target, dt, blocked=blocked)
 
     def _place(self, positions: Array, rotations: Array) -> None:
-        skeleton, qpos = self.body.skeleton, self.data.qpos
-        at = positions[skeleton.root], rotations[skeleton.root]
-        qpos[self._root] = np.concatenate(at)
+        qpos, root, skeleton = self.data.qpos, self._root_joint, self.body.skeleton
+        qpos[self._root] = np.concatenate([positions[root], rotations[root]])
         relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[self._speeds] = 0.0
@@ -381,8 +368,7 @@ class PulledCharacter:
     def external_force(self) -> float:
         """Mean force over the last step that only the pulls explain [body weights].
 
-        It changed the momentum beyond what gravity, floor, props and pushes did, which
-        no muscle could. 0 where nothing pulls, and where the character was reset.
+        No muscle could exert it. 0 where nothing pulls, or the character was reset.
         """
         force = float(np.linalg.norm(self._external) / self._weight)
         return 0.0 if self.limp else force

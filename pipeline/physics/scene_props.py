@@ -13,6 +13,8 @@ from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
 
+from .holdable import mesh_points
+
 _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", [0, 1, 2]),
     int(mujoco.mjtGeom.mjGEOM_SPHERE): ("ellipsoid", [0, 0, 0]),
@@ -39,16 +41,13 @@ class SceneProps:
     ) -> None:
         model = data.model
         self._data, self._model = data, model
-        visible = np.flatnonzero(
-            np.isin(model.geom_type, list(_KINDS))
-            & (model.geom_group <= _LAST_VISIBLE)
-            & (model.geom_rgba[:, 3] > 0.0)
-        )
-        self._geoms = {
-            int(body): [int(g) for g in visible if model.geom_bodyid[g] == body]
-            for body in dict.fromkeys(model.geom_bodyid[visible])
-            if model.body_rootid[body] not in characters
-        }
+        visible = np.isin(model.geom_type, list(_KINDS)) & (model.geom_rgba[:, 3] > 0.0)
+        visible &= model.geom_group <= _LAST_VISIBLE
+        self._geoms: dict[int, list[int]] = {}
+        for geom in np.flatnonzero(visible).tolist():
+            body = int(model.geom_bodyid[geom])
+            if model.body_rootid[body] not in characters:
+                self._geoms.setdefault(body, []).append(geom)
         self._moving = [b for b in self._geoms if model.body_weldid[b] != 0]
         self.poses = np.empty((frames, len(self._moving), 7))
 
@@ -61,7 +60,7 @@ class SceneProps:
     @property
     def moving(self) -> tuple[str, ...]:
         """Names of the props that can move."""
-        return tuple(self._name(body) for body in self._moving)
+        return tuple(map(self._name, self._moving))
 
     @property
     def now(self) -> tuple[Array, Array]:
@@ -95,18 +94,15 @@ class SceneProps:
         kind, sizes = _KINDS[int(model.geom_type[geom])]
         points, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
         if kind == "mesh":
-            mesh = model.mesh(model.geom_dataid[geom])
-            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            points = from_mujoco(model.mesh_vert[first : first + count].astype(float))
+            points, mesh = mesh_points(model, geom), model.mesh(model.geom_dataid[geom])
+            points = from_mujoco(points.astype(float))
             first, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
             triangles = model.mesh_face[first : first + count].astype(np.int64)
         color, material = model.geom_rgba[geom], int(model.geom_matid[geom])
         if material >= 0 and np.allclose(color, _UNSET):
             color = model.mat_rgba[material]
-        size = from_mujoco(model.geom_size[geom][sizes])
-        place, turn = (
-            from_mujoco(model.geom_pos[geom]),
-            from_mujoco(model.geom_quat[geom]),
-        )
+        size, place = model.geom_size[geom][sizes], model.geom_pos[geom]
+        frame = (size, place, model.geom_quat[geom])
+        size, place, turn = map(from_mujoco, frame)
         rgb = color[:3].astype(float)
         return Shape(kind, size, place, turn, rgb, points, triangles)

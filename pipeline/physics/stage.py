@@ -60,23 +60,19 @@ class Physics(SharedStage):
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
         """Pull the characters of people of one recording through it in one world.
 
-        The scene is where it is for the person who is seen in most frames. Everyone
-        stands on the floor that was found for them.
+        The scene is where it is for the person who is seen in most frames.
         """
         main = max(drafts, key=lambda draft: len(draft.time))
         place = self._placement(main.positions, main.skeleton)
         bodies = [draft.body for draft in drafts]
         world = World(bodies, self._tracking, scene=self._scene)
+        characters = [PulledCharacter(b, self._tracking, world=world) for b in bodies]
         people = []
         for draft in drafts:
-            target, stands = _placed(draft, place), draft.stands
             seen = seen_hands(draft.reliability, draft.skeleton)
-            people.append(Performance(draft.time, *target, stands, seen))
-        results = pull_through(
-            [PulledCharacter(body, self._tracking, world=world) for body in bodies],
-            people,
-            partial(progress, self.name),
-        )
+            target = _placed(draft, place)
+            people.append(Performance(draft.time, *target, draft.stands, seen))
+        results = pull_through(characters, people, partial(progress, self.name))
         for draft, result in zip(drafts, results, strict=True):
             draft.positions, draft.rotations = result.positions, result.rotations
             if place is not None:

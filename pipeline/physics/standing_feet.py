@@ -17,9 +17,8 @@ _HARDEST_STEP = 2.0  # body weights that feet press with. A guess: running, land
 class StandingFeet:
     """Presses planted feet, bodies ``soles`` (2,) of the model, on the floor.
 
-    Muscles act between the body and the feet, so that only the floor carries it.
-    ``weight`` is that of the body [N]; ``lifting`` is the upward force of all pulls in
-    the last substep [N], to be set after each.
+    Muscles act between body and feet, so that only the floor carries a ``weight`` [N].
+    ``lifting`` is the upward force of all pulls in a substep [N], to be set after each.
     """
 
     def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:
@@ -29,7 +28,7 @@ class StandingFeet:
 
     def start(self) -> None:
         """Reset the state to feet that bear nothing yet."""
-        self._load, self._pressing = np.zeros(2), np.zeros(2)
+        self._load, self._pressing = np.zeros((2, 2))
         self.settle()
 
     def settle(self) -> None:
@@ -37,10 +36,7 @@ class StandingFeet:
         self._carried = self.lifting = self._weight
 
     def begin(self, move: Move, stands: Flags | None) -> None:
-        """Shift the weight toward the feet that stand (2,); none if that is None.
-
-        No force may be applied to the feet yet.
-        """
+        """Shift the weight toward the feet that stand (2,); none if that is None."""
         wanted = np.zeros(2) if stands is None else stands.astype(float)
         if wanted.all():
             wanted = np.array([move.left_share, 1.0 - move.left_share])

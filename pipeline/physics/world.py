@@ -1,7 +1,7 @@
 """The simulated world: one MuJoCo model of a scene with every character in it.
 
 All characters take a step together, so that they share the props and push each other.
-Only the one that diverges or is stuck is put back: the others take the step again.
+Only one that diverges or is stuck is put back: the others take the step again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from kinefilter.characters import Body, Tracking
-from kinefilter.characters.arrays import Flags, Indices
+from kinefilter.characters.arrays import Flags
 from kinefilter.characters.humanoid import build_humanoids
 from kinefilter.scenes import load_scene
 
@@ -92,16 +92,14 @@ class World:
 
         Without ``props``, those stop where they are if nobody else is there.
         """
-        data = self.data
-        if len(self.characters) > 1:
-            if props:
-                data.qpos[self._props] = self.model.qpos0[self._props]
-                data.qvel[self._owner == _PROP] = 0.0
-            return
-        there = data.qpos.copy()
-        mujoco.mj_resetData(self.model, data)
-        if not props:
-            data.qpos[:] = there
+        data, there = self.data, self.data.qpos.copy()
+        if len(self.characters) == 1:
+            mujoco.mj_resetData(self.model, data)
+            if not props:
+                data.qpos[:] = there
+        elif props:
+            data.qpos[self._props] = self.model.qpos0[self._props]
+            data.qvel[self._owner == _PROP] = 0.0
 
     def follow(self, moves: Sequence[Move], stands: Sequence[Flags | None]) -> Flags:
         """Pull each character through its move, all of which take the same time.
@@ -121,14 +119,17 @@ class World:
         while not good.all():
             mujoco.mj_resetData(model, data)
             mujoco.mj_setState(model, data, self._before, _STATE)
-            self._put_back(good)
+            bad = [one for one, fine in zip(characters, good, strict=True) if not fine]
+            for character in bad:
+                character.put_back()
             if not good.any():
                 break
             for character in characters:
                 character.begin_again()
             self._advance(dt)
             again = good & ~self._diverged(0.0)
-            self._put_back(good)
+            for character in bad:
+                character.put_back()
             if (again == good).all():
                 break
             good = again
@@ -136,11 +137,6 @@ class World:
             if fine:
                 character.rise_from_floor()
         return good
-
-    def _put_back(self, good: Flags) -> None:
-        for character, fine in zip(self.characters, good, strict=True):
-            if not fine:
-                character.put_back()
 
     def _advance(self, dt: float) -> None:
         model, data, characters = self.model, self.data, self.characters
@@ -167,23 +163,14 @@ class World:
             character.end()
 
     def _diverged(self, began: float) -> Flags:
-        """Return which characters spin out of control or lost their targets.
-
-        All of them, if a prop does.
-        """
-        data = self.data
-        speeds = np.abs(data.qvel)
+        """Return which characters spin or lost their targets; all if a prop does."""
+        data, count = self.data, len(self.characters)
+        wild = np.flatnonzero(~(np.abs(data.qvel) < _TOP_SPEED)).tolist()
         if not data.time > began:
             # The engine restarts at time 0 when its numbers overflow, and notes where.
-            noted = [w.lastinfo for w in data.warning if w.number]
-            return self._owned(np.array(noted, dtype=np.intp))
-        if not speeds.max() < _TOP_SPEED:
-            return self._owned(np.flatnonzero(~(speeds < _TOP_SPEED)))
-        return np.array([character.is_lost for character in self.characters])
-
-    def _owned(self, speeds: Indices) -> Flags:
-        """Return whose degrees of freedom these are; everyone's if any is a prop's."""
-        owners = self._owner[speeds]
-        if _PROP in owners or not len(owners):
-            return np.ones(len(self.characters), dtype=bool)
-        return np.isin(np.arange(len(self.characters)), owners)
+            wild = [warning.lastinfo for warning in data.warning if warning.number]
+        elif not wild:
+            return np.array([character.is_lost for character in self.characters])
+        owners = self._owner[wild]
+        everyone = _PROP in owners or not wild
+        return np.isin(np.arange(count), owners) | everyone

@@ -59,8 +59,8 @@ def _between(values: Array, known: Flags, rate: float) -> Array:
     weights = np.where(known, 1.0, stiffness / (_FORGET * rate) ** 4)
     bands = penalty(np.full(len(values) - 2, stiffness), (1.0, -2.0, 1.0))
     bands[0] += weights
-    line = np.stack(lines, axis=1)
-    solved = solveh_banded(bands, weights[:, None] * line, lower=True)
+    right = weights[:, None] * np.stack(lines, axis=1)
+    solved = solveh_banded(bands, right, lower=True)
     return np.where(known[:, None], values, solved)
 
 
@@ -80,7 +80,6 @@ def bridge_matrix(count: int, context: int, rate: float) -> Array:
 def coast(last: Array, velocity: Array, elapsed: Array) -> Array:
     """Return where something that loses its velocity is after some time, (..., C).
 
-    ``last`` is its position then, ``velocity`` [1/s] has the same shape, and
-    ``elapsed`` [s] broadcasts against them.
+    ``last`` is where it was, ``velocity`` is in 1/s, and ``elapsed`` [s] broadcasts.
     """
     return np.asarray(last + velocity * (_COAST * (1.0 - np.exp(-elapsed / _COAST))))

@@ -38,9 +38,8 @@ def held_ankle(
     """Return where a hidden ankle is held [m], and how firmly, in [0, 1].
 
     ``last`` and ``after`` (None if unknown) are its positions before and after the gap
-    [m], world frame, shape (..., 1, 3); ``planted`` are the likelihoods that it is
-    planted there, (..., 1) each. ``time`` (2, ..., N) holds the times since it was seen
-    and until it is next seen [s].
+    [m], world frame, (..., 1, 3), ``planted`` the likelihoods that it is planted there,
+    (..., 1), and ``time`` those since and until it is seen [s], (2, ..., N).
     """
     since, until = time
     if after is None:

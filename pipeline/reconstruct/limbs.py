@@ -8,7 +8,6 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
-from kinefilter.characters.skeleton import SIDES
 
 from .windows import Limb
 
@@ -20,12 +19,8 @@ _LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
 @cache
 def limbs(skeleton: Skeleton) -> tuple[tuple[int, int, int], ...]:
     """Return shoulder, elbow and wrist, or hip, knee and ankle, of each limb."""
-    index = skeleton.index
-    return tuple(
-        (index(top + side), index(middle + side), index(end + side))
-        for side in SIDES
-        for top, middle, end in _LIMBS
-    )
+    arms, legs = (zip(*map(skeleton.sides, limb), strict=True) for limb in _LIMBS)
+    return tuple(limb for side in zip(arms, legs, strict=True) for limb in side)
 
 
 @cache

@@ -75,9 +75,9 @@ class MotionPrior:
         networks = {}
         for name in (key.removesuffix("_mean") for key in arrays if "_mean" in key):
             layers: Network = []
-            while (at := f"{name}_weights_{len(layers)}") in arrays:
-                bias = arrays[at.replace("weights", "biases")]
-                layers.append((arrays[at].astype(np.float32), bias))
+            while (weights := arrays.get(f"{name}_weights_{len(layers)}")) is not None:
+                bias = arrays[f"{name}_biases_{len(layers)}"]
+                layers.append((weights.astype(np.float32), bias))
             networks[name] = (arrays[f"{name}_mean"], layers)
         return cls(networks)
 
@@ -94,8 +94,7 @@ class MotionPrior:
     def change(self, name: str, inputs: Array) -> Array:
         """Return the departure of directions from the base, shape (..., 3 H).
 
-        ``name`` is that of the network; ``inputs`` (..., F) come from ``inputs_of`` or
-        ``posture_inputs``.
+        The ``inputs`` (..., F) come from ``inputs_of`` or ``posture_inputs``.
         """
         mean, layers = self.networks[name]
         given = np.where(np.isnan(inputs), 0.0, inputs - mean)
@@ -121,31 +120,25 @@ class MotionPrior:
         if mirrored:
             change[..., 0] *= -1.0
         base = unit(found.base + change)
-        likely = self._likely(hidden)
+        seen, limb, bones = hidden.seen, hidden.limb, hidden.motion[2]
+        shown = np.isin(np.arange(len(seen.skeleton)), limb.visible)
+        bones = np.where(shown[:, None], bones, np.nan)
+        lower = seen.heading.root[hidden.frames, 1] - seen.standing
+        likely = self.unseen(seen.skeleton, limb.hidden, bones, lower)
         if likely is not None:
             share = 1.0 - np.exp(-near / _FORGOTTEN[hidden.ahead])
-            if hidden.limb.leg is not None:  # whoever stays stands where they stood
+            if limb.leg is not None:  # whoever stays stands where they stood
                 moved = np.linalg.norm(hidden.root_change[..., [0, 2]], axis=-1)
                 share *= 1.0 - np.exp(-((moved / _STAYS) ** 2))
             base = unit(base + share[..., None, None] * (likely - base))
         return replace(found, base=base)
 
-    def _likely(self, hidden: Stretches) -> Array | None:
-        """Return directions for the posture alone, as ``unseen`` does, (W, M, H, 3)."""
-        seen, visible = hidden.seen, list(hidden.limb.visible)
-        _, _, vectors = hidden.motion
-        bones = np.full(vectors.shape, np.nan)
-        bones[..., visible, :] = vectors[..., visible, :]
-        lower = seen.heading.root[hidden.frames, 1] - seen.standing
-        return self.unseen(seen.skeleton, hidden.limb.hidden, bones, lower)
-
     def unseen(
         self, skeleton: Skeleton, hidden: Segments, bones: Array, lower: Array
     ) -> Array | None:
-        """Return the likely directions of a limb's unseen segments, (..., H, 3).
+        """Return the likely directions of unseen segments, (..., H, 3), or None.
 
-        None if there is no network for them. ``hidden`` are the segments, from the
-        trunk outwards; see ``posture_inputs`` for the other arguments.
+        ``hidden`` has these, from the trunk outwards; see also ``posture_inputs``.
         """
         part, mirrored = part_of(skeleton, hidden)
         if (name := network_name(part, "unseen")) not in self.networks:
@@ -177,12 +170,9 @@ def network_name(part: str, mode: Mode) -> str:
 @cache
 def part_of(skeleton: Skeleton, hidden: Segments) -> tuple[str, bool]:
     """Return the hidden part out of PARTS, "" for none, and True for a right limb."""
-    names = [skeleton.joints[j] for j in hidden]
-    for mirrored, side in enumerate(SIDES):
-        for part, joints in PARTS.items():
-            if names == [joint + side for joint in joints]:
-                return part, bool(mirrored)
-    return "", False
+    kinds = tuple(skeleton.kinds[j] for j in hidden)
+    part = next((part for part, joints in PARTS.items() if joints == kinds), "")
+    return part, bool(part) and skeleton.joints[hidden[0]].endswith("Right")
 
 
 def inputs_of(hidden: Stretches, found: Descriptions) -> Array:
@@ -215,9 +205,8 @@ def posture_inputs(
 ) -> Array:
     """Return the inputs of the networks for unseen limbs, (..., F), as for a left one.
 
-    ``bones`` are all segments as vectors [m] in the heading frame, shape (..., J, 3),
-    NaN where they are not seen, and ``lower`` is the height of the root [m] relative to
-    where the person stands, shape (...).
+    ``bones`` are all segments as vectors [m] in the heading frame, (..., J, 3), NaN
+    where not seen, and ``lower`` is the root's height [m] relative to standing, (...).
     """
     body, mirrored = _rest_of_body(skeleton, hidden)
     vectors = bones[..., list(body), :] / _BONE

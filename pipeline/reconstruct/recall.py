@@ -96,10 +96,11 @@ def learn(
     Without ``gap``, the whole take is used instead of the minutes around it. The result
     adds to the ``prior``.
     """
-    context = max(round(CONTEXT * seen.rate), 2)
-    reach = round(_REACH * seen.rate)
-    first = 0 if gap is None else max(gap - reach, 0)
-    around = slice(first, None if gap is None else gap + reach)
+    context, first, around = max(round(CONTEXT * seen.rate), 2), 0, slice(None)
+    if gap is not None:
+        reach = round(_REACH * seen.rate)
+        first = max(gap - reach, 0)
+        around = slice(first, gap + reach)
     usable = np.all(seen.known[around][:, [*limb.hidden, *limb.visible]], axis=1)
     for hole in runs(~usable):
         if hole.stop - hole.start <= _BLUR * seen.rate and hole.start > 0:
@@ -123,16 +124,15 @@ def learn(
         at = np.rint(at + shift[:, None] * frames / (_SAMPLES + 1)).astype(int)
         at = np.clip(at, 0, frames - 1)
         found = prior.describe(Stretches(seen, limb, starts, frames, at, ahead))
-        moving, targets = found.base - found.still, found.truth - found.still
+        changes = found.base - found.still, found.truth - found.still
         begins = np.repeat(starts, _SAMPLES)
-        rows = map(_rows, (found.features, moving, targets))
+        rows = map(_rows, (found.features, *changes))
         parts.append((*rows, begins, begins + frames))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     count = len(columns[0])
-    near = np.arange(count)[:: -(-count // _KEPT)]
+    near = np.arange(0, count, -(-count // _KEPT))
     if queries is not None and count > _KEPT:
-        distance = _squares(queries, columns[0]).min(axis=0)
-        near = np.argsort(distance, kind="stable")[:_KEPT]
+        near = _squares(queries, columns[0]).min(axis=0).argsort(kind="stable")[:_KEPT]
     features, moving, targets, begins, ends = (column[near] for column in columns)
     doubt = len(near) * _DOUBT**2
     kept = float(np.sum(moving * targets)) + _MOMENTUM * doubt
@@ -148,8 +148,7 @@ def learn(
 def _weight(features: Array, targets: Array, begins: Indices, ends: Indices) -> float:
     """Return the weight, in [0, 1], with which each part is best predicted by the rest.
 
-    ``begins`` and ``ends`` are the first frame and the one after the last of the
-    stretch of each sample, shape (N,).
+    The stretches of the samples are those from ``begins`` to before ``ends``, (N,).
     """
     bounds = np.quantile(begins, np.linspace(0.0, 1.0, _FOLDS + 1))
     gains, squares = [], []
@@ -174,15 +173,13 @@ def _weight(features: Array, targets: Array, begins: Indices, ends: Indices) -> 
 
 
 def _kernel(a: Array, b: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * _squares(a, b)))
+    return np.exp(-0.5 * _squares(a, b))
 
 
-def _squares(a: Array, b: Array) -> Array:
-    """Return squared distances of rows, shape (A, B)."""
+def _squares(a: Array, b: Array) -> Array:  # distances of rows, shape (A, B)
     squares = np.vecdot(a, a)[:, None] + np.vecdot(b, b) - 2.0 * a @ b.T
     return np.asarray(np.maximum(squares, 0.0))
 
 
-def _rows(values: Array) -> Array:
-    """Return values (W, M, ...) as rows (W M, C)."""
+def _rows(values: Array) -> Array:  # (W, M, ...) as (W M, C)
     return np.reshape(values, (values.shape[0] * values.shape[1], -1))

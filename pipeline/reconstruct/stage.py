@@ -13,11 +13,10 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.floor import leveled
 
-from .hidden_limbs import fill_hidden
+from .hidden_limbs import fill_hidden, fill_unseen
 from .limbs import in_limbs
 from .prior import MotionPrior, default_prior
 from .tracker import HiddenLimbTracker
-from .unseen import fill_unseen
 
 _MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred joints are kept
 _LATELY = 300  # frames over which that share is averaged in live motion
@@ -44,11 +43,10 @@ class Reconstruct(Stage):
         now = draft.state == State.TRACKED
         self._frames = min(self._frames + 1, _LATELY)
         self._tracked = self._tracked + (now - self._tracked) / self._frames
-        measured, skeleton = draft.measured, draft.skeleton
-        hidden = hidden_joints(measured, draft.state, skeleton, self._tracked)
-        if not self._tracked[skeleton.root]:
-            measured = with_root(measured, draft.body)
-            hidden[skeleton.root] = False
+        measured, root = draft.measured, draft.skeleton.root
+        hidden = hidden_joints(measured, draft.state, draft.skeleton, self._tracked)
+        if not self._tracked[root]:
+            measured, hidden[root] = with_root(measured, draft.body), False
         time = float(draft.time)
         draft.filled, draft.hidden = self._tracker.step(measured, hidden, time)
 
@@ -80,11 +78,10 @@ class Reconstruct(Stage):
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
         filled, which = fill_hidden(time, positions, hidden, skeleton, self._prior)
+        own, prior = filled[first:], self._prior or default_prior()
         unseen = np.asarray(hidden.all(axis=0))
-        prior = self._prior or default_prior()
-        own = (draft.time, filled[first:], unseen, draft.body, prior)
-        draft.filled, pointed = fill_unseen(*own)
-        draft.hidden = which[first:] | pointed
+        found = fill_unseen(draft.time, own, unseen, draft.body, prior)
+        draft.filled, draft.hidden = found[0], which[first:] | found[1]
 
 
 def with_root(positions: Array, body: Body) -> Array:
@@ -94,12 +91,10 @@ def with_root(positions: Array, body: Body) -> Array:
     seen, as far as in the rest pose.
     """
     skeleton, rest = body.skeleton, body.rest_positions
-    spine = [skeleton.girdle]
-    while (parent := skeleton.parents[spine[0]]) != skeleton.root:
-        spine.insert(0, parent)
-    ends = [list(skeleton.sides(part)) for part in ("Hip", "Shoulder")]
+    spine = [[j] for j in reversed(skeleton.ancestors(skeleton.girdle))]
+    hips, shoulders = skeleton.sides("Hip"), skeleton.sides("Shoulder")
     root = np.full_like(positions[..., 0, :], np.nan)
-    for joints in (ends[0], *([j] for j in spine), ends[1], [skeleton.index("Head")]):
+    for joints in (hips, *spine, shoulders, [skeleton.index("Head")]):
         above = (rest[joints] - rest[skeleton.root]).mean(axis=0) * [0.0, 1.0, 0.0]
         found = positions[..., joints, :].mean(axis=-2) - above
         root = np.where(np.isnan(root), found, root)
@@ -113,10 +108,9 @@ def hidden_joints(
 ) -> Flags:
     """Return True for joints that are missing, or of a limb and only inferred.
 
-    Inferred joints of the trunk, and those that the sensor hardly ever tracks, are not
-    hidden: what the sensor infers is better there than what went before. ``tracked``
-    (J,) is the share of frames in which each joint is tracked; by default that of all
-    frames of the take.
+    Inferred joints of the trunk, and those hardly ever tracked, are not hidden: what
+    the sensor infers is better there. ``tracked`` (J,) is the share of frames in which
+    each joint is tracked; by default that of the take.
     """
     now = state == State.TRACKED
     often = (now.mean(axis=0) if tracked is None else tracked) > _MOSTLY_INFERRED

@@ -13,11 +13,10 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.stance import smooth_step
 
 from .foothold import planted_height
-from .hidden_limbs import PAUSE
+from .hidden_limbs import PAUSE, point_unseen
 from .limbs import limb_of, limbs, with_tips
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
-from .unseen import point_unseen
 from .windows import BridgedMotion, Limb, Stretches
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
@@ -123,8 +122,7 @@ class HiddenLimbTracker:
                 self._gaps.pop(limb, None)
         filled = self._placed(placed, there, self._directions[k])
         self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])
-        self._count += 1
-        placeable = self._ever | pointed
+        self._count, placeable = k + 1, self._ever | pointed
         found = heading.restore(self._positions[k])
         return np.where(placeable[:, None], found, positions), hidden & placeable
 
@@ -161,7 +159,7 @@ class HiddenLimbTracker:
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
             since = (k, time) if gap is None else (gap.start, gap.time)
-            ankles = [ends[2] for ends in self._limbs[1::2]]
+            ankles = skeleton.sides("Ankle")
             heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
             standing = standing_height(self._root[: k + 1, 1])
             gap = _Gap(limb, *since, planted_height(heights), standing)
@@ -176,7 +174,7 @@ class HiddenLimbTracker:
             gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
         if gap.recall is not None and gap.learned is not None:
-            share = smooth_step(np.array(min((time - gap.learned) / _FADES, 1.0)))
+            share = smooth_step(np.array((time - gap.learned) / _FADES))
             continued = unit(continued + share * (gap.recall(found)[0] - continued))
         before, end = directions.copy(), limb.hidden[-1]
         directions[list(limb.hidden)] = continued[0]
@@ -187,10 +185,10 @@ class HiddenLimbTracker:
                     directions[j] = rotate(turn, before[j])
 
     def _motion_so_far(self, count: int, gap: _Gap) -> BridgedMotion:
-        skeleton, lengths = self._body.skeleton, self._body.lengths
         steps = np.diff(self._times[max(count - 30, 0) : count])
         rate = 1.0 / float(np.median(steps)) if len(steps) else _RATE
         heading = HeadingFrame(self._root[:count], self._yaw[:count])
+        skeleton, lengths = self._body.skeleton, self._body.lengths
         positions, directions = self._positions[:count], self._directions[:count]
         flags = (self._known[:count], self._joined[:count], np.zeros(count, np.bool_))
         arrays = (positions, directions, *flags, lengths)
@@ -198,11 +196,9 @@ class HiddenLimbTracker:
 
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""
-        k = self._count
-        back = self._filled & ~hidden
-        if back.any():
-            self._offset[back] = self._positions[k - 1][back] - filled[back]
-            self._since[back] = 0.0
+        k, back = self._count, self._filled & ~hidden
+        self._offset[back] = self._positions[k - 1][back] - filled[back]
+        self._since[back] = 0.0
         self._filled = hidden.copy()
         self._since += elapsed if k else 0.0
         joining = (self._since < _JOINS) & ~hidden

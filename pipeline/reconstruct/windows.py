@@ -116,22 +116,14 @@ class Stretches:
 
     @cached_property
     def root_change(self) -> Array:
-        """The root's way from where the limb was seen last [m], shape (W, M, 3).
-
-        If the motion after the stretch is known, it is relative to the straight line
-        between both ends.
-        """
+        """The root's way since the limb was seen, less ``between`` [m], (W, M, 3)."""
         root = self.seen.heading.root
         line = self.between(root[self.last], root[self.after])
         return np.asarray(root[self.frames] - line)
 
     @cached_property
     def motion(self) -> tuple[Array, Array, Array]:
-        """Change [m], velocity [m/s] and vectors [m] of all segments, (W, M, J, 3).
-
-        The change is relative to when the limb was last seen, or to the straight line
-        between both ends of the stretch.
-        """
+        """Change, likewise, velocity [m/s] and vectors [m] of bones, (W, M, J, 3)."""
         seen, frames = self.seen, self.frames
         now, past = (seen.bones(k) for k in (frames, np.maximum(frames - 1, 0)))
         line = seen.bones(self.last)
@@ -146,17 +138,17 @@ class Stretches:
 
 @dataclass(frozen=True, eq=False)
 class Descriptions:
-    """Descriptions of a hidden limb in frames of stretches."""
+    """Descriptions of a hidden limb in frames of stretches.
+
+    Directions are those of its hidden segments, shape (W, M, H, 3).
+    """
 
     features: Array
     """Components of vectors, and last the times since the limb was seen and, if known,
     until it is next seen, all in units of their length scales, shape (W, M, F)."""
-    base: Array
-    """Directions of its hidden segments if it continues its motion, (W, M, H, 3)."""
-    still: Array
-    """These directions without the speed that it had, shape (W, M, H, 3)."""
-    truth: Array
-    """Directions of these segments in the motion itself, shape (W, M, H, 3)."""
+    base: Array  # directions if it continues its motion
+    still: Array  # these without the speed that it had
+    truth: Array  # directions in the motion itself
 
 
 def describe(hidden: Stretches) -> Descriptions:
@@ -171,8 +163,7 @@ def describe(hidden: Stretches) -> Descriptions:
     change, velocity, bones = visible_motion(hidden, limb.visible)
     unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
     root = unmoved.remove(hidden.root_change[..., None, :])[..., 0, :]
-    per_second = seen.rate / SPEED_FRAMES
-    end = pointing(last)
+    per_second, end = seen.rate / SPEED_FRAMES, pointing(last)
     end_speed = per_second * (end - pointing(np.maximum(last - SPEED_FRAMES, 0)))
     features = [
         *(change / SEEN_CHANGE, root / _ROOT_CHANGE),
@@ -186,8 +177,7 @@ def describe(hidden: Stretches) -> Descriptions:
         around = np.clip(hidden.starts[:, None] + around, 0, final)
         matrix = bridge_matrix(hidden.length, context, seen.rate)[hidden.at]
         base = np.einsum("wmk,wkc->wmc", matrix, pointing(around))
-        begin = pointing(after)
-        later = pointing(np.minimum(after + SPEED_FRAMES, final))
+        begin, later = map(pointing, (after, np.minimum(after + SPEED_FRAMES, final)))
         begin_speed = per_second * (later - begin)
         features += [begin / _END, begin_speed / _END_SPEED]
     else:
@@ -215,10 +205,7 @@ def describe(hidden: Stretches) -> Descriptions:
 def visible_motion(
     hidden: Stretches, segments: tuple[int, ...]
 ) -> tuple[Array, Array, Array]:
-    """Return change [m], velocity [m/s] and vectors [m] of segments, (W, M, 3 S).
-
-    See ``Stretches.motion``.
-    """
+    """Return ``Stretches.motion`` of some segments as rows, (W, M, 3 S)."""
     chosen = list(segments)
     change, velocity, vectors = (_flat(v[..., chosen, :]) for v in hidden.motion)
     return change, velocity, vectors
@@ -234,15 +221,12 @@ def _momentum(
 ) -> Array:
     """Return how much of its speed at the ends an arm keeps in a gap, shape (W, M).
 
-    A linear rule, fitted to the arms of six people. Fitted without each of them, and
-    without each of ten movements, it reduced the error of keeping all the speed by 3 to
-    5 % on what was left out. ``speeds`` (2, W, 1, C) are the velocities of the
-    directions [1/s] at both ends, which are ``duration`` [s] apart; the changes [m] of
-    the visible segments and of the root have shape (W, M).
+    A linear rule, fitted to the arms of six people; it reduces the error of keeping all
+    the speed by 3 to 5 % on people and movements left out. ``speeds`` (2, W, 1, C) are
+    those of the directions [1/s] at both ends, ``duration`` [s] apart.
     """
     turns = duration * np.sqrt(3.0 / speeds.shape[-1]) * speeds
-    far = np.linalg.norm(turns, axis=-1)
-    less, more = np.minimum(*far), np.maximum(*far)
+    less, more = np.sort(np.linalg.norm(turns, axis=-1), axis=0)
     # Positive if the limb moves out and back, with opposite velocities at the ends.
     back = -np.sum(turns[0] * turns[1], axis=-1) / np.maximum(less * more, 0.05)
     keeps = (
@@ -263,15 +247,12 @@ def _on_foot(hidden: Stretches, leg: tuple[int, int, int], base: Array) -> Array
     frames, last, after = hidden.frames, hidden.last, hidden.after
     far = max(round(_PLANTED_TIME * seen.rate), 2)
 
-    def world(which: Indices) -> Array:
-        """Return the ankle's position [m] in frames, clipped to the motion."""
+    def world(which: Indices) -> Array:  # the ankle's position [m]
         which = np.clip(which, 0, len(seen.positions) - 1)
         place = seen.positions[which, ankle][..., None, :]
         return np.asarray(seen.heading.at(which).restore(place)[..., 0, :])
 
-    ends = [last + np.arange(1 - far, 1)]
-    if hidden.ahead:
-        ends.append(after + np.arange(far))
+    ends = [last + np.arange(1 - far, 1), after + np.arange(far)][: 1 + hidden.ahead]
     planted = [planted_likelihood(world(e), seen.rate, seen.floor) for e in ends]
     seen_after = world(after) if hidden.ahead else None
     likely = [p[:, None] for p in planted]

@@ -44,9 +44,8 @@ class _Aim(Stage):
 
     def step(self, draft: Draft) -> None:
         """Aim in the next frame."""
-        for mean in self._means:
-            mean.elapsed = draft.elapsed
-        self._aim_unpinned(draft, self._chains, self._means)
+        filters = [partial(mean, draft.elapsed) for mean in self._means]
+        self._aim_unpinned(draft, self._chains, filters)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Aim in a take."""
@@ -65,11 +64,10 @@ class _Aim(Stage):
         shares = ((firm - 1.0) / (PLANTED - 1.0)).clip(0.0, 1.0)
         for k in np.flatnonzero(shares.reshape(-1, firm.shape[-1]).any(axis=0)):
             share, start = shares[..., k, None], int(chains.starts[k])
-            moved = [start, *draft.skeleton.descendants(start)]
-            here, there = draft.positions[..., moved, :], before[..., moved, :]
-            draft.positions[..., moved, :] = here + share[..., None] * (there - here)
-            both = draft.rotations[..., moved, :], turns[..., moved, :]
-            draft.rotations[..., moved, :] = slerp(*both, share)
+            moved = np.s_[..., [start, *draft.skeleton.descendants(start)], :]
+            here, there = draft.positions[moved], before[moved]
+            draft.positions[moved] = here + share[..., None] * (there - here)
+            draft.rotations[moved] = slerp(draft.rotations[moved], turns[moved], share)
 
     @staticmethod
     @abstractmethod
@@ -93,10 +91,8 @@ class AimHead(_Aim):
         turn = None
         if draft.face is not None:
             seen = np.isfinite(draft.face).all(axis=-1, keepdims=True)
-            face = np.where(seen, draft.face, 0.0)
-            weights = np.where(seen, 1.0, _LEAST_WEIGHT)
-            faces = chains.faces(face, draft.rotations, head)
-            turn = chains.turn(*look(faces, weights))
+            faces = chains.faces(np.where(seen, draft.face, 0.0), joints[1], head)
+            turn = chains.turn(*look(faces, np.where(seen, 1.0, _LEAST_WEIGHT)))
         draft.positions, draft.rotations = chains.posed(*joints, head, turn)
 
 
@@ -108,13 +104,13 @@ class AimHands(_Aim):
 
     @staticmethod
     def _aim(draft: Draft, chains: Palms, filters: Sequence[_Filter]) -> None:
-        aim, turn = filters
-        joints = draft.positions, draft.rotations, _weights(draft)
-        hands = chains.straightened(*aim(*chains.aims(*joints)))
+        joints, (aim, turn) = (draft.positions, draft.rotations), filters
+        weights = _weights(draft)
+        hands = chains.straightened(*aim(*chains.aims(*joints, weights)))
         twist = np.zeros(hands.shape[:-1])
         if chains.has_thumbs:
-            twist = chains.twist(*turn(*chains.thumbs(*joints, hands)))
-        draft.positions, draft.rotations = chains.posed(*joints[:2], hands, twist)
+            twist = chains.twist(*turn(*chains.thumbs(*joints, weights, hands)))
+        draft.positions, draft.rotations = chains.posed(*joints, hands, twist)
 
 
 def _weights(draft: Draft) -> Array:
@@ -125,19 +121,18 @@ def _weights(draft: Draft) -> Array:
 class _Mean:
     """A running mean of values by their weights, frame by frame."""
 
-    elapsed: float  # since the last frame [s], to be set before each
-
     def __init__(self, cutoff: float) -> None:
         self._rate = 2.0 * np.pi * cutoff  # 1/s
         self._mean: tuple[Array, Array] | None = None
 
-    def __call__(self, values: Array, weights: Array) -> tuple[Array, Array]:
-        """Return the means of values and weights."""
+    def __call__(
+        self, elapsed: float, values: Array, weights: Array
+    ) -> tuple[Array, Array]:
+        """Return the means of values and weights ``elapsed`` [s] after the last."""
         latest = weights[..., None] * values, weights
-        old = self._mean or latest
-        share = 1.0 - np.exp(-self._rate * self.elapsed)
-        pull, weight = (a + share * (b - a) for a, b in zip(old, latest, strict=True))
-        self._mean = pull, weight
+        share = 1.0 - np.exp(-self._rate * elapsed)
+        ends = zip(self._mean or latest, latest, strict=True)
+        self._mean = pull, weight = tuple(a + share * (b - a) for a, b in ends)
         return pull / weight[..., None], weight
 
 

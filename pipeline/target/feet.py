@@ -1,8 +1,8 @@
 """Stance detection, and feet that stay in place while planted and are lifted to step.
 
-Time stamps [s] are strictly increasing, shape (T,); joint positions [m] have y up and
-shape (T, J, 3); confidence has shape (T, J); ``stands`` says whether each foot is
-planted, shape (T, 2), left and right.
+Time stamps [s] increase strictly, (T,); joint positions [m] have y up, (T, J, 3);
+confidence is (T, J); ``stands`` says whether each foot is planted, left and right,
+(T, 2).
 """
 
 from itertools import pairwise
@@ -42,8 +42,7 @@ stand in more frames, but legs are 1 % farther from where another sensor sees th
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
-PLANTED = 120.0
-"""Bone weight of a planted foot; a measured joint has 1."""
+PLANTED = 120.0  # bone weight of a planted foot; a measured joint has 1
 HELD = (3.0, 10.0)
 """Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
 late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
@@ -74,13 +73,11 @@ def find_stance(
     """Return the frames in which each foot is planted, (T, 2), left and right.
 
     A foot is planted while its ankle rests and is no higher than the other. Viterbi's
-    algorithm finds the most probable sequence of planted and stepping frames; every
-    change has a cost, which makes it a hysteresis that looks ahead. Between two
-    stances, one foot hands the body over to the other.
+    algorithm finds the most probable sequence; every change has a cost, which makes it
+    a hysteresis that looks ahead. Between stances, feet hand the body over.
     """
     ankles, _ = ankles_and_toes(skeleton)
-    weights = np.maximum(confidence[:, ankles], _LEAST_WEIGHT)
-    paths = smooth(time, positions[:, ankles], weights, cutoff=_CUTOFF)
+    paths = _smoothed(time, positions, confidence, ankles)
     speed, step, height = np.zeros(paths.shape[:2]), 1.0 / _RATE, paths[..., 1]
     if len(time) > 1:
         speed = np.linalg.norm(np.gradient(paths, time, axis=0), axis=2)
@@ -91,6 +88,13 @@ def find_stance(
         for stance in runs(stands[:, foot]):
             _split(time, paths[:, foot][:, [0, 2]], stands[:, foot], stance)
     return _handed_over(time, positions, confidence, _unloaded(time, stands), skeleton)
+
+
+def _smoothed(
+    time: Array, positions: Array, confidence: Array, joints: list[int]
+) -> Array:
+    weights = np.maximum(confidence[:, joints], _LEAST_WEIGHT)
+    return smooth(time, positions[:, joints], weights, cutoff=_CUTOFF)
 
 
 def planted_feet(contacts: Flags) -> Flags:
@@ -120,11 +124,10 @@ def _most_probable(log_odds: Array) -> Flags:
 
 
 class StanceTracker:
-    """Stance detector for live motion, frame by frame without look-ahead.
+    """Stance detector for live motion, without look-ahead; odds as in ``find_stance``.
 
-    The odds are those of ``find_stance``. A change needs as much evidence as it costs
-    there, and speed is averaged over a tenth of a second. A foot that moved away from
-    where it landed no longer stands.
+    A change needs as much evidence as it costs there. A foot that moved away from where
+    it landed no longer stands.
     """
 
     def __init__(self) -> None:
@@ -137,16 +140,13 @@ class StanceTracker:
     def step(self, ankles: Array, flat: float, dt: float) -> Flags:
         """Return whether each foot is planted in a frame ``dt`` [s] later, shape (2,).
 
-        Ankle positions [m], shape (2, 3), have the floor at y = 0; ``flat`` is the
-        height of the ankle of a foot that is flat on it [m].
+        Ankles [m] (2, 3) have the floor at y = 0; ``flat`` is ``flat_height`` [m].
         """
         if self._paths is None:
             self._paths, self._places = ankles.copy(), ankles.copy()
-        share = 1.0 - np.exp(-dt / _SPEED_TIME)
-        moved = share * (ankles - self._paths)
+        moved = (1.0 - np.exp(-dt / _SPEED_TIME)) * (ankles - self._paths)
         self._paths = self._paths + moved
-        speed = np.linalg.norm(moved, axis=1) / dt
-        height = self._paths[:, 1]
+        speed, height = np.linalg.norm(moved, axis=1) / dt, self._paths[:, 1]
         odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
         lead = (self._lead + odds * dt * _RATE).clip(-_SWITCH, _SWITCH)
         away = np.linalg.norm((self._paths - self._places)[:, [0, 2]], axis=1)
@@ -170,9 +170,8 @@ class StanceTracker:
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
-        slides = ~self._stands & (speed > _SLIDE_SPEED)
         most = _CLEARANCE / _LIFT_TIME * dt
-        needed = np.where(slides, _CLEARANCE, 0.0)
+        needed = np.where(~self._stands & (speed > _SLIDE_SPEED), _CLEARANCE, 0.0)
         self._lifted = self._lifted + (needed - self._lifted).clip(-most, most)
         above = np.where(self._stands, 0.0, toes[:, 1] - soles)
         return np.maximum(self._lifted - above, 0.0)
@@ -183,14 +182,12 @@ def _unloaded(time: Array, stands: Flags) -> Flags:
     shorter = stands.copy()
     for foot in range(2):
         for stance in runs(stands[:, foot]):
-            begin, end = time[stance.start], time[stance.stop - 1]
-            margin = min(_UNLOADING, 0.25 * (end - begin))
+            now = time[stance]
+            margin = min(_UNLOADING, 0.25 * (now[-1] - now[0]))
             if stance.start > 0:
-                down = np.searchsorted(time, begin + margin - _ROUNDING)
-                shorter[stance.start : down, foot] = False
+                shorter[stance, foot] &= now >= now[0] + margin - _ROUNDING
             if stance.stop < len(time):
-                up = np.searchsorted(time, end - margin + _ROUNDING)
-                shorter[up : stance.stop, foot] = False
+                shorter[stance, foot] &= now < now[-1] - margin + _ROUNDING
     return shorter
 
 
@@ -199,10 +196,9 @@ def _handed_over(
 ) -> Flags:
     """Return stances extended so that each foot hands the body over to the other.
 
-    People who do not jump always have a foot on the floor. Between a stance of one foot
-    and the next of the other, the first bears until the second does, where their toes
-    are nearest to these places. No foot bears farther than ``_AT_REST`` from its place,
-    nor where less than a step (``_STEP``) of its own would remain.
+    Who does not jump always has a foot on the floor: one bears until the other does,
+    where toes are nearest to these places. No foot bears farther than ``_AT_REST``
+    from its place, nor where less than a step (``_STEP``) of its own would remain.
     """
     longer, (_, toes) = stands.copy(), ankles_and_toes(skeleton)
     if len(time) < 2:
@@ -210,8 +206,7 @@ def _handed_over(
     trunk = positions[:, [skeleton.root, skeleton.girdle]].mean(axis=1, keepdims=True)
     height = smooth(time, trunk, np.ones(trunk.shape[:2]), cutoff=_CUTOFF)[:, 0, 1]
     acceleration = np.gradient(np.gradient(height, time), time)
-    weights = np.maximum(confidence[:, toes], _LEAST_WEIGHT)
-    paths = smooth(time, positions[:, toes], weights, cutoff=_CUTOFF)
+    paths = _smoothed(time, positions, confidence, toes)
     for gap in runs(np.asarray(~stands.any(axis=1))):
         inside = gap.start > 0 and gap.stop < len(time)
         if inside and acceleration[gap].min() > _FREE_FALL:
@@ -227,8 +222,7 @@ def _hand_over(
 ) -> tuple[float, Flags]:
     """Return a cost, and the stances of a gap, (N, 2), where a foot hands over.
 
-    The cost is how far toes, of which ``paths`` (T, 2, 3) are given, are from the place
-    of the foot that bears, summed over the frames [m].
+    The cost is how far the toes that bear are from their place, summed over frames [m].
     """
     before, after, other = gap.start - 1, gap.stop, 1 - foot
     around = time[before] - _STEP, time[after] + _STEP
@@ -254,8 +248,8 @@ def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     points, count = path[stance], stance.stop - stance.start
     if count < 4:
         return
-    away = points - np.median(points, axis=0)
-    if np.linalg.norm(away, axis=1).max() < _DRIFT:
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    if away.max() < _DRIFT:
         return
     # The frame that best splits the path into two resting places.
     sums = np.cumsum(points, axis=0)
@@ -263,9 +257,8 @@ def _split(time: Array, path: Array, stands: Flags, stance: slice) -> None:
     rest = sums[-1] - sums[:-1]
     gain = np.sum(sums[:-1] ** 2 / k + rest**2 / (count - k), axis=1)
     middle = time[stance.start + 1 + int(gain.argmax())]
-    ends = np.array([middle - 0.5 * _STEP, middle + 0.5 * _STEP])
-    first, last = np.searchsorted(time, ends - _ROUNDING)
-    first, last = max(int(first), stance.start), min(int(last), stance.stop)
+    ends = middle + 0.5 * _STEP * np.array([-1.0, 1.0]) - _ROUNDING
+    first, last = np.searchsorted(time, ends).clip(stance.start, stance.stop)
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
         _split(time, path, stands, part)
@@ -284,28 +277,25 @@ def plant_feet(
     Ankle and toes of a planted foot stay at their weighted median with the sole on the
     floor, which is at y = 0; the heel rises only where the ankle is higher than
     Kinect's errors lift it. A stepping foot follows the measurement, moved so that it
-    leaves and arrives where it is planted, and lifted where it is fast.
-
-    Heels are down where ``heels``, shape (T, 2), says so, and elsewhere as measured;
-    the second result has them all, shape (T, 2).
+    leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
+    are down where ``heels`` says so, and elsewhere as measured.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
-        stances = runs(stands[:, foot])
+        still = stands[:, foot]
+        stances = runs(still)
         if not stances:
             continue
-        path = positions[:, [ankle, toe]]
-        flat = flat_height(body, toe)
+        path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
         rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
         if heels is not None:
             rise[heels[:, foot]] = 0.0
-        down[:, foot] = stands[:, foot] & (rise < _HEEL_DOWN)
-        resting = [
-            _resting(path[s], confidence[s, ankle], rise[s], body, toe) for s in stances
-        ]
-        path = _joined(time, path, resting, stances)
-        still = stands[:, foot]
+        down[:, foot] = still & (rise < _HEEL_DOWN)
+        weights, joined = confidence[:, ankle], path.copy()
+        for s in stances:
+            joined[s] = _resting(path[s], weights[s], rise[s], body, toe)
+        path = _joined(time, path, joined, stances)
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
         path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
@@ -326,60 +316,47 @@ def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> 
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
-    rest = np.zeros((len(path), 2, 3))
-    rest[:, 1, [0, 2]] = place + reach * ahead
-    rest[:, 1, 1] = sole
+    tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
+    rest[:, 1, [0, 2]], rest[:, 1, 1] = tip, sole
     # The ankle turns about the toes.
     height = np.minimum(flat + rise, sole + length)
     back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
-    rest[:, 0, [0, 2]] = rest[:, 1][:, [0, 2]] - back[:, None] * ahead
-    rest[:, 0, 1] = height
+    rest[:, 0, [0, 2]], rest[:, 0, 1] = tip - back[:, None] * ahead, height
     return rest
 
 
-def _joined(
-    time: Array, path: Array, resting: list[Array], stances: list[slice]
-) -> Array:
-    """Return stances and the steps between them [m], shape (T, 2, 3).
+def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
+    """Fill the steps between stances into ``joined`` [m], shape (T, 2, 3).
 
-    A step is the measured one, moved; while the foot is lifted and set down it stays
-    over the place where it is planted.
+    A step is the measured one, moved, but stays over its place when up and down.
     """
-    joined = path.copy()
-    for rest, stance in zip(resting, stances, strict=True):
-        joined[stance] = rest
-    moves = joined - path
+    moves, count = joined - path, len(path)
     # Before the first stance and after the last there is only one end to fit.
-    for before, after in pairwise([None, *stances, None]):
-        first = 0 if before is None else before.stop
-        last = len(path) if after is None else after.start
-        gap, over = slice(first, last), time[first:last, None, None]
-        leave = moves[last if before is None else first - 1]
-        step = path[gap] + leave
-        if before is not None and after is not None:
+    for before, after in pairwise([slice(0, 0), *stances, slice(count, count)]):
+        first, last = before.stop, after.start
+        over = time[first:last, None, None]
+        leave = moves[first - 1 if first else last]
+        step = path[first:last] + leave
+        if first and last < count:
             duration = time[last] - time[first - 1]
             share = smooth_step((over - time[first - 1]) / duration)
             step = step + share * (moves[last] - leave)
-        if before is not None:
+        if first:
             free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[first - 1]
-        if after is not None:
+        if last < count:
             free = smooth_step((time[last] - over - _HOLD) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[last]
-        joined[gap] = step
+        joined[first:last] = step
     return joined
 
 
 def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
-    """Return the height by which to lift ankle or toes of a foot [m], shape (T,).
-
-    ``part`` is where they are, shape (T, 3), and ``sole`` how high on the floor.
-    """
+    """Return by how much to lift ankle or toes (T, 3), ``sole`` high at rest [m]."""
     steps = np.diff(time)
     speed = np.linalg.norm(np.diff(part[:, [0, 2]], axis=0), axis=1) / steps
     fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
-    slides = (np.maximum(*fast) > _SLIDE_SPEED) & ~stands
-    needed = np.where(slides, _CLEARANCE, 0.0)
+    needed = np.where((np.maximum(*fast) > _SLIDE_SPEED) & ~stands, _CLEARANCE, 0.0)
     # Up and down at a constant speed, which takes frames before and after.
     slopes = _CLEARANCE / _LIFT_TIME * steps
     edge = np.where(stands, 0.0, np.inf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from kinefilter.pipeline.reconstruct.foothold import middle_joint
 from kinefilter.pipeline.reconstruct.limbs import limbs
 
 from .feet import PLANTED, ankles_and_toes
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
 
 _RAISED = 0.01  # m: a foot that is pinned higher has left the floor. A guess.
 _FARTHEST = 2.0  # m from where the joint is; more is hardly meant. A guess
@@ -73,14 +70,14 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
     draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
 
 
-def _curve(times: Array, values: Array) -> CubicHermiteSpline:
+def _curve(times: Array, values: Array) -> Any:  # a CubicHermiteSpline
     """Return a curve through values (N, C) at times [s] (N,), falling to 0 beyond."""
+    from scipy.interpolate import CubicHermiteSpline  # takes long to load
+
     ends = [t + d for t in times for d in (-_AROUND, _AROUND)]
     ends = [t for t in ends if np.abs(times - t).min() >= _AROUND - 1e-6]
     knots = dict.fromkeys(ends, np.zeros_like(values[0]))
     knots |= dict(zip(times, values, strict=True))
-    from scipy.interpolate import CubicHermiteSpline  # takes long to load
-
     at = sorted(knots)
     rows = np.array([knots[t] for t in at])
     return CubicHermiteSpline(at, rows, np.zeros_like(rows))

@@ -33,12 +33,11 @@ _LONGEST_GAP = 30  # missing frames with which a gap is bridged; a longer one sh
 
 
 def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Array:
-    """Return smoothed values.
+    """Return smoothed values (T, J, C).
 
-    Time stamps [s], shape (T,), increase strictly. Values have shape (T, J, C),
-    weights, the confidence in each value in (0, 1], shape (T, J). ``cutoff`` is the
-    frequency [Hz] at which half of the amplitude is left at confidence 1; confidence w
-    moves it by a factor of w^(1/6).
+    Time stamps [s], shape (T,), increase strictly; weights are the confidence in each
+    value in (0, 1], shape (T, J). ``cutoff`` is the frequency [Hz] at which half of the
+    amplitude is left at confidence 1; confidence w moves it by a factor of w^(1/6).
     """
     if len(time) <= _ORDER or cutoff >= 0.5 / np.median(np.diff(time)):
         return values.copy()
@@ -53,15 +52,13 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
 def smooth_by_speed(
     time: Array, values: Array, weights: Array, *, cutoff: float
 ) -> Array:
-    """Return joint paths, smoothed more strongly where a joint is slow.
+    """Return joint paths [m] (T, J, 3), smoothed more strongly where a joint is slow.
 
     Trembling of a joint at rest is noise, but quick changes of a moving one may be
     movement. So the cutoff grows with the speed of the smoothed path, as in the 1 euro
-    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest
-    where that would remove far more than noise, as when hands clap or shake.
-
-    Arguments are as in ``smooth``, but values are positions [m], shape (T, J, 3), and
-    ``cutoff`` is the highest cutoff frequency [Hz].
+    filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest,
+    ``cutoff`` [Hz], where that would remove far more than noise, as when hands clap or
+    shake. Other arguments are as in ``smooth``.
     """
     if len(time) <= _ORDER:
         return values.copy()
@@ -104,7 +101,7 @@ def _root_mean_square(vectors: Array, frames: float) -> Array:
     odd = 2 * round(0.5 * (frames - 1.0)) + 1  # an even number would shift time
     mean = uniform_filter1d(np.sum(vectors**2, axis=1), max(odd, 1))
     # The filter keeps a running sum, which rounding can make negative.
-    return np.asarray(np.sqrt(np.maximum(mean, 0.0)))
+    return np.sqrt(np.maximum(mean, 0.0))
 
 
 def _grid(time: Array) -> tuple[Indices, float]:
@@ -121,10 +118,7 @@ def _stiffness(cutoff: Any, step: float) -> Any:
 
 
 def _solve(bands: Array, grid: Indices, values: Array, weights: Array) -> Array:
-    """Return the smoothed path of a joint in all frames of the grid, (length, C).
-
-    ``bands`` are those of the penalty, shape (order + 1, length).
-    """
+    """Return the smoothed path of a joint, given the penalty's bands, (length, C)."""
     system, right = bands.copy(), np.zeros((bands.shape[1], values.shape[1]))
     system[0, grid] += weights
     right[grid] = weights[:, None] * values

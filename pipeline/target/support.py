@@ -63,10 +63,9 @@ def required_wrench(time: Array, positions: Array, body: Body) -> tuple[Array, A
     """Return center of mass and external wrench in every frame but the first and last.
 
     Half of each segment's mass is at each of its ends (``joint_masses``), and second
-    differences are smoothed at 6 Hz. The difference to the moments of MuJoCo's capsules
-    is smaller than the effect of the smoothing. No joint may be missing. The center of
-    mass is in m, shape (T - 2, 3); a wrench is the force [body weights] followed by the
-    moment about that center [body weights times m], shape (T - 2, 6).
+    differences are smoothed at 6 Hz. No joint may be missing. The center of mass is in
+    m, shape (T - 2, 3); a wrench is the force [body weights] followed by the moment
+    about that center [body weights times m], shape (T - 2, 6).
     """
     shares = joint_masses(body) / body.mass
     steps = np.diff(time)[:, None]
@@ -84,10 +83,7 @@ def required_wrench(time: Array, positions: Array, body: Body) -> tuple[Array, A
 
 
 def _contacts(positions: Array, center: Array, body: Body) -> tuple[Array, Flags]:
-    """Return the friction cones at K points of the body, and which touch the floor.
-
-    Edges are wrenches about the center of mass, shape (T, K, 4, 6), flags (T, K).
-    """
+    """Return friction cones at K points (T, K, 4, 6), and which are down, (T, K)."""
     ankles, toes = ankles_and_toes(body.skeleton)
     others = np.setdiff1d(np.arange(len(body.skeleton)), [*ankles, *toes])
     points = [positions[:, others] - clearances(body)[others, None] * [0.0, 1.0, 0.0]]

@@ -49,12 +49,9 @@ _FRAMES = 5000  # to look at: enough for medians
 class Turn:
     """Rotation of a sensor's frame that makes the person stand upright."""
 
-    roll: float = 0.0
-    """Angle about z [rad], applied first; see ``leveled``."""
-    tilt: float = 0.0
-    """Angle about x [rad], applied second."""
-    doubt: str = ""
-    """Warning that the frame may be wrong, although it was left as it is."""
+    roll: float = 0.0  # angle about z [rad], applied first; see ``leveled``
+    tilt: float = 0.0  # angle about x [rad], applied second
+    doubt: str = ""  # warning that the frame may be wrong, although left as it is
 
     def notes(self, leveled: float = 0.0) -> tuple[str, ...]:
         """Return notes for the user; the frame was also leveled by an angle [rad]."""
@@ -121,8 +118,7 @@ def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
 def with_y_up(take: Take) -> Take:
     """Return a take with y up, flipping y if it pointed down.
 
-    That is the case if the person is upside down and the toes point backwards: a
-    reflection, which no rotation of the sensor could undo.
+    So it did if the person is upside down and the toes point backwards: a reflection.
     """
     some = take.positions[:: 1 + len(take) // _FRAMES]
     along, straight, _ = _posture(some, take.skeleton)
@@ -148,12 +144,11 @@ def _posture(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]
 
 
 def posture_of(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Array]:
-    """Return how the person stands.
+    """Return how the person stands, whichever way the frame is turned.
 
     The direction from the feet to the shoulders (T, 3), NaN without feet or trunk;
     whether each leg is straight and in line with the trunk (T, 2); and the share of its
-    length by which each arm reaches down along the body (T, 2). None depends on which
-    way the frame is turned.
+    length by which each arm reaches down along the body (T, 2).
     """
     ankle, knee, hip, shoulder, elbow, wrist = (
         positions[:, skeleton.sides(part)]
@@ -180,5 +175,5 @@ def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
     front = np.cross((left - right)[:, :2].sum(axis=1), up)
     toes = (left + right)[:, 3] - (left + right)[:, 2]
     cosines = np.sum(unit(front) * unit(toes), axis=1)
-    cosines = cosines[~np.isnan(cosines)]
-    return bool(len(cosines) and np.median(cosines) < _BACKWARDS)
+    known = cosines[~np.isnan(cosines)]
+    return bool(len(known) and np.median(known) < _BACKWARDS)

@@ -14,8 +14,12 @@ from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.correct import Hold
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge, turned_away
-from kinefilter.pipeline.correct.posture_features import Part, PostureFeatures
-from kinefilter.pipeline.correct.random_features import RandomFeatures, direction_to
+from kinefilter.pipeline.correct.posture_features import (
+    Part,
+    PostureFeatures,
+    RandomFeatures,
+    direction_to,
+)
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget import find_yaw
 
