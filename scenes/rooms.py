@@ -17,8 +17,7 @@ _FOLDER = Path(__file__).parent
 SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))
 """Names of the built-in scenes: the settings of Shum et al. 2013, table II."""
 
-SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"
-"""The built-in sample take."""
+SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"  # the built-in sample take
 
 _PREFIX = "attached--"  # removed again, so no name in a scene may begin with it
 _SKIN = [0.37, 0.53, 0.60, 1.0]  # a muted color that no prop has

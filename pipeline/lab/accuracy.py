@@ -108,8 +108,7 @@ class _Person:
     """Whether a raw joint has an offset-free error above ``FAR``."""
     moved: list[Array] = field(default_factory=list)
     """Offset-free distance by which the method moved that joint [m]."""
-    movements: list[str] = field(default_factory=list)
-    """The movement in each clip."""
+    movements: list[str] = field(default_factory=list)  # the movement in each clip
     misplaced: list[tuple[bool, bool]] = field(default_factory=list)
     """Per clip: whether a limb was misplaced, and whether a warning said so."""
 

@@ -86,8 +86,7 @@ class Rows(NamedTuple):
 
 
 Floats = NDArray[np.floating[Any]]
-Lessons = dict[str, Rows]
-"""Training data by the name of the network."""
+Lessons = dict[str, Rows]  # training data by the name of the network
 
 
 class Lesson(NamedTuple):

@@ -44,8 +44,7 @@ class _Joint:
 class MarkerSet:
     """A table that locates joints relative to markers."""
 
-    source: str
-    """The file."""
+    source: str  # the file
     frames: Mapping[str, Mapping[str, tuple[Points, Points]]]
     """Start and end of two of the axes left, up and forward, per part of the body."""
     joints: Mapping[str, Mapping[str, _Joint]]

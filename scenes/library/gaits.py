@@ -260,5 +260,4 @@ def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 GAITS = ("carry", "march", "run", "walk")  # names of the gaits
 
-TURNS: dict[str, Script] = {"turn": _turn}
-"""Motions that turn on the spot, by name."""
+TURNS: dict[str, Script] = {"turn": _turn}  # motions that turn on the spot, by name

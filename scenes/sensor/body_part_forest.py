@@ -56,19 +56,15 @@ class BodyPartForest:
     Nodes and leaves are numbered consecutively over all trees.
     """
 
-    offsets: Singles
-    """u and v of each feature [m across the view], (F, 2, 2)."""
-    roots: NDArray[np.int32]
-    """Root node of each tree, (T,)."""
-    feature: NDArray[np.int16]
-    """Feature that each node tests, -1 for a leaf, (N,)."""
+    offsets: Singles  # u and v of each feature [m across the view], (F, 2, 2)
+    roots: NDArray[np.int32]  # root node of each tree, (T,)
+    feature: NDArray[np.int16]  # feature that each node tests, -1 for a leaf, (N,)
     threshold: Singles
     """Largest difference [m] for which a node continues to the left, (N,)."""
     children: NDArray[np.int32]
     """Left and right child of each node; for a leaf, its row in ``leaves`` twice,
     (N, 2)."""
-    leaves: Codes
-    """Share of each body part in a leaf, scaled to 0..255, (L, P)."""
+    leaves: Codes  # share of each body part in a leaf, scaled to 0..255, (L, P)
     push: Singles
     """Depth of a joint behind the skin, along the ray [m], for the joints of Kinect v1
     and v2, by the body part of the same name, (2, P)."""

@@ -35,14 +35,12 @@ _V2_NOISE = DepthNoise(0.0015, -0.0005, 0.0003)
 class Sensor:
     """Placement, optics and clock of one Kinect. The defaults describe a Kinect v2."""
 
-    height: float = 1.0
-    """Height of the sensor above the floor [m]."""
+    height: float = 1.0  # height of the sensor above the floor [m]
     distance: float = 2.7
     """Horizontal distance from the sensor to the origin of the motion's world [m]."""
     azimuth: float = 0.0
     """Angle [rad] by which the performer is turned left from facing the sensor."""
-    tilt: float = 0.0
-    """Pitch of the sensor, positive upward [rad]."""
+    tilt: float = 0.0  # pitch of the sensor, positive upward [rad]
     field_of_view: tuple[float, float] = (np.radians(70.6), np.radians(60.0))
     """Horizontal and vertical angle of view [rad]."""
     resolution: tuple[int, int] = (512, 424)

@@ -94,23 +94,19 @@ class TrackerErrors:
     over the directions of all segments."""
     wobble: float = 0.047
     """Standard deviation per axis of the mean joint's wobble in fast motion [m]."""
-    calm: float = 0.12
-    """Share of this wobble that remains when the joint is still."""
+    calm: float = 0.12  # share of this wobble that remains when the joint is still
     stirring_speed: float = 0.5
     """Speed of a joint at which half of the other share appears [m/s]."""
-    wobble_time: float = 0.17
-    """Time constant of the wobble's autocorrelation [s]."""
+    wobble_time: float = 0.17  # time constant of the wobble's autocorrelation [s]
     burst: float = 1.5
     """Standard deviation over time of the natural logarithm of the wobble's strength:
     most frames are calm, some jump."""
-    burst_time: float = 0.15
-    """Time constant of that strength [s]."""
+    burst_time: float = 0.15  # time constant of that strength [s]
     hidden_wobble: float = 2.0
     """Increase of the wobble of a fully hidden joint, as a multiple of the wobble."""
     blur: float = 0.004
     """Mean and standard deviation of a measurement's lag behind its time stamp [s]."""
-    grain: float = 5.0
-    """Number of neighboring pixels that share one depth error."""
+    grain: float = 5.0  # number of neighboring pixels that share one depth error
     trunk_turn: float = 0.41
     """How much farther people have turned than Kinect v2 shows hips, shoulders and the
     foot behind the body, as a share of the angle shown beyond ``_TURNED``. From
@@ -120,8 +116,7 @@ class TrackerErrors:
     its surroundings. A guess."""
     doubt: float = 0.12
     """Standard deviation of the tracker's error in the visible share of a part."""
-    doubt_time: float = 0.3
-    """Time constant of that error [s]."""
+    doubt_time: float = 0.3  # time constant of that error [s]
     trust: float = 0.0
     """Extra visible share that a joint needs to be tracked (``tracker_states``)."""
     merging: float = 0.2

@@ -35,8 +35,7 @@ _CHUNK = 1024  # frames, to bound the memory for long takes
 class Sight:
     """How much of each joint a sensor sees; vectors are in the motion's world."""
 
-    visible: Array
-    """Share of the part that nothing hides, in [0, 1], shape (T, J)."""
+    visible: Array  # share of the part that nothing hides, in [0, 1], shape (T, J)
     pull: Array
     """Vector from the center of the part's surface to the center of its visible surface
     [m], zero if all or nothing is visible, shape (T, J, 3)."""

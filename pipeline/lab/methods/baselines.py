@@ -127,8 +127,7 @@ class Exemplar(OffsetCorrector):
     """
 
     samples: int = 10000
-    neighbors: int = 10
-    """Number of postures averaged."""
+    neighbors: int = 10  # number of postures averaged
     width_: Any = field(init=False)
     fitted = ("postures", "offsets", "joints", "seen", "width")
 

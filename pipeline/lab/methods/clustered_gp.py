@@ -40,8 +40,7 @@ class ClusteredGP(Learner):
     """
 
     skeleton: Skeleton = field(kw_only=False)
-    centroids: int = 800
-    """Q, number of clusters of training postures."""
+    centroids: int = 800  # Q, number of clusters of training postures
     smallest_reliability: float = 0.7
     """Minimum reliability of every joint of a training posture."""
     predicts: Literal["offsets", "positions"] = "offsets"
@@ -50,8 +49,7 @@ class ClusteredGP(Learner):
     """Bone lengths after correction: ``learned`` are those that mocap has for people of
     similar proportions, ``own`` the person's own as Kinect measures them (section
     2.2)."""
-    seed: int = 0
-    """Seed for drawing the frames and initializing the clusters."""
+    seed: int = 0  # seed for drawing the frames and initializing the clusters
 
     fitted = (
         *("rows", "people", "bones", "weights", "variances", "scales", "noise"),

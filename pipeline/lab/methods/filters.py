@@ -49,8 +49,7 @@ def _rate(time: Array) -> float:
 class WholeTake(Corrector):
     """A method that filters whole takes; joints that were never seen stay NaN."""
 
-    skeleton: Skeleton | None = None
-    """Not needed, but given to all methods."""
+    skeleton: Skeleton | None = None  # not needed, but given to all methods
 
     def whole(
         self,
@@ -77,8 +76,7 @@ class Butterworth(WholeTake):
     cutoff: float = 6.0
     """Frequency [Hz] at which half of the amplitude is left: each of the two passes
     leaves 1 / sqrt(2)."""
-    order: int = 2
-    """Order of one pass."""
+    order: int = 2  # order of one pass
 
     def _filtered(self, take: Observation) -> Array:
         bridged, rate = bridge_gaps(take.time, take.positions), _rate(take.time)
@@ -100,8 +98,7 @@ class SavitzkyGolay(WholeTake):
     _: KW_ONLY
     window_seconds: float = 0.3
     """Length of the window [s], rounded to an odd number of frames."""
-    order: int = 3
-    """Order of the polynomials: motion of this order passes unchanged."""
+    order: int = 3  # order of the polynomials: motion of this order passes unchanged
 
     def _filtered(self, take: Observation) -> Array:
         bridged = bridge_gaps(take.time, take.positions)

@@ -200,8 +200,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
     skeleton: Skeleton = field(kw_only=False)
     samples: int = 2048
     """Number of random features per part for whole takes; live motion has half."""
-    seed: int = 0
-    """Seed of their frequencies."""
+    seed: int = 0  # seed of their frequencies
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton)

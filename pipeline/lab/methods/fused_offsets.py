@@ -67,8 +67,7 @@ class FusedOffsets(OffsetCorrector):
 
     spatial: float = 0.6
     """Weight of the predicted offset (first term of eq. 22)."""
-    temporal: float = 0.2
-    """Weight of constant velocity (second term)."""
+    temporal: float = 0.2  # weight of constant velocity (second term)
     reliability: float = 0.2
     """Weight of a zero offset, scaled by the joint's reliability (third term)."""
     likelihood: Likelihood = "relative"
@@ -84,8 +83,7 @@ class FusedOffsets(OffsetCorrector):
     """What offsets are predicted from and added to. ``measured``: the joints as
     measured. ``held``: unreliable joints are held on their last bones, if there is a
     reliability term."""
-    seen_: Flags = field(init=False)
-    """The joints that the sensor measures, shape (J,)."""
+    seen_: Flags = field(init=False)  # the joints that the sensor measures, shape (J,)
     movement_: Array = field(init=False)
     """Variance [m^2] of the temporal term's density: of a coordinate's second
     difference between frames in which the joint is reliable, shape (M,)."""

@@ -38,12 +38,9 @@ _SURE = 0.25  # share of the prior variance below which a prediction may be lear
 class LocalGP(FusedOffsets):
     """Adds to each joint the offset of least energy, around local predictions."""
 
-    clusters: int = 50
-    """Q, number of local models per joint."""
-    samples: int = 50
-    """S, maximum number of samples per local model."""
-    blended: int = 9
-    """L, number of nearest local models that are blended."""
+    clusters: int = 50  # Q, number of local models per joint
+    samples: int = 50  # S, maximum number of samples per local model
+    blended: int = 9  # L, number of nearest local models that are blended
     frames: int = 0
     """Number of training frames drawn; 0 means four for each sample kept."""
     redundancy: float = 0.01
@@ -54,10 +51,8 @@ class LocalGP(FusedOffsets):
     votes: Votes = "precision"
     """Weights by which local models are blended: ``similarity`` as in eq. 12, or that
     times ``precision``, which also discounts models without a sample nearby."""
-    adapt: bool = False
-    """Learn from the corrected frames themselves, until ``start``."""
-    adapt_reliability: float = 0.9
-    """Minimum reliability of a joint to learn from."""
+    adapt: bool = False  # learn from the corrected frames themselves, until ``start``
+    adapt_reliability: float = 0.9  # minimum reliability of a joint to learn from
     spare: int = 20
     """Number of samples per local model, and of models per joint, that may be added
     while adapting; once full, the least informative sample is replaced."""

@@ -97,10 +97,8 @@ class LowRank(WholeTake):
     """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is for
     matrices of low rank; the motion of 20 joints is not quite low-rank, and 1 removes
     some of it along with the errors."""
-    growth: float = 1.05
-    """rho, as in ``decompose``; 1 or more."""
-    iterations: int = 1000
-    """Maximum number of iterations."""
+    growth: float = 1.05  # rho, as in ``decompose``; 1 or more
+    iterations: int = 1000  # maximum number of iterations
 
     def __post_init__(self) -> None:
         if self.growth < 1.0:

@@ -51,10 +51,8 @@ class OffsetCorrector(Learner):
     """Fills missing joints, then adds an offset to each joint."""
 
     skeleton: Skeleton = field(kw_only=False)
-    samples: int
-    """Maximum number of training frames."""
-    seed: int = 0
-    """Seed for drawing the training frames."""
+    samples: int  # maximum number of training frames
+    seed: int = 0  # seed for drawing the training frames
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton)

@@ -22,8 +22,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     """
 
     skeleton: Skeleton
-    reference: Reference
-    """The person's segment lengths."""
+    reference: Reference  # the person's segment lengths
     _: KW_ONLY
     largest_displacement: float = 0.03
     """T [m]: joints that move less are not in error (eq. 10)."""

@@ -14,8 +14,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from .study import Options, Panel, Row, Study, series_of
 from .study_takes import clips_of, first_person, performed_by, recorded_people
 
-_WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}
-"""Seconds by frames."""
+_WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}  # seconds by frames
 _RANK = 5  # of the paper's dance, read off figure 1
 _SMALL = 0.01
 """Share of the largest singular value below which others do not count toward the rank.
