@@ -101,7 +101,6 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def _resolve_assets(scene: mujoco.MjSpec, path: Path) -> None:
-    """Make the paths of meshes and textures absolute."""
     if any(a.file for a in (*scene.meshes, *scene.hfields, *scene.skins)):
         scene.meshdir = str((path.parent / scene.meshdir).resolve())
     if any(texture.file or any(texture.cubefiles) for texture in scene.textures):

@@ -83,7 +83,6 @@ def _time_offline(take: Take) -> dict[str, float]:
 
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
-    """Compare the solver with the paper's sampling in the same posture spaces."""
     cleaner = Cleaner().until("standardize")
     cleaner.start(measure_body(take))
     generator = np.random.default_rng(0)
@@ -147,10 +146,7 @@ def _time_avatar(take: Take, body: Body) -> float:
 
 
 def _bare_physics(character: PulledCharacter, spare: mujoco.MjData, dt: float) -> float:
-    """Return the time that the engine alone takes for the substeps of a frame [s].
-
-    It starts from the character's state and uses spare data, to leave it unchanged.
-    """
+    """Return the time that the engine alone takes for the substeps of a frame [s]."""
     substeps = prod(steps_in(dt))
     character.model.opt.timestep = dt / substeps
     mujoco.mj_copyData(spare, character.model, character.data)

@@ -51,7 +51,6 @@ def recordings_in(file: Path) -> Iterator[Recording]:
 
 
 def _take_of_mocap(file: Path, name: str) -> Take:
-    """Return mocap as a take of a sensor with jitter."""
     mocap = read_mocap(file, [])
     positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
     meters, _ = mocap_body(positions, KINECT_V1)

@@ -145,7 +145,6 @@ def _behind_limb(
 
 
 def _distances(points: Array, rays: Array) -> Array:
-    """Return distances of points from the sensor's rays [m]."""
     along = rays * np.vecdot(points, rays)[..., None]
     return np.asarray(np.linalg.norm(points - along, axis=2))
 

@@ -211,10 +211,7 @@ def write_rating_page(
 
 
 def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
-    """Return the camera [mm, rad] of a motion, and its clips on a common floor.
-
-    A take whose feet are not at the height of a clip's feet is leveled to that clip.
-    """
+    """Return the camera [mm, rad] of a motion, and its clips on a common floor."""
     clips = [_read(file) for file in files]
     seconds = max(float(clip.time[-1]) for clip in clips)
     standing = _standing(clips)
@@ -273,10 +270,7 @@ def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
 
 
 def _on_floor(take: Take, standing: Clip | Take) -> Array:
-    """Return a take's joints [m], leveled and with feet at a clip's height, (T, J, 3).
-
-    A take that is already at the clip's height is returned unchanged.
-    """
+    """Return a take's joints [m], leveled and with feet at a clip's height, (T, J, 3)."""
     height, positions = _foot_height(standing.positions), take.positions
     if abs(_foot_height(positions) - height) < _OFF:
         return positions

@@ -113,7 +113,6 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
 
 
 def _integers(values: Any) -> tuple[int, ...]:
-    """Return integers as a tuple, or raise a TypeError."""
     if not all(type(value) is int for value in values):
         raise TypeError
     return tuple(values)
@@ -173,7 +172,6 @@ def summarize(raters: Raters, key: Key) -> Figures:
 
 
 def _grades(answers: Sequence[Answer], key: Key) -> Array:
-    """Return a rater's mean grade of each clip, shape (S, M)."""
     total = np.zeros((2, len(key.systems), len(key.motions)))
     for clips, grades in answers:
         for clip, grade in zip(clips, grades, strict=True):
@@ -182,7 +180,6 @@ def _grades(answers: Sequence[Answer], key: Key) -> Array:
 
 
 def _mean(values: Array) -> Figures:
-    """Return the mean and its confidence interval over raters."""
     low = high = np.nan
     if len(values) > 1:
         half = stats.sem(values) * stats.t.ppf((1 + _LEVEL) / 2, len(values) - 1)

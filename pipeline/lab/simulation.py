@@ -99,7 +99,6 @@ def simulate(
 def _performed(
     motion: str, body: Body, seed: int, fps: float, within: Area | None
 ) -> Motion:
-    """Return a scripted motion by a body, or the motion of a mocap file."""
     if motion in MOTIONS or not Path(motion).suffix:
         return perform(motion, body, seed=seed, fps=fps, within=within)
     return mocap_act(Path(motion), body.skeleton, fps)
@@ -110,7 +109,6 @@ def _named(motion: str) -> str:
 
 
 def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
-    """Return the true joints [m] at a take's frames."""
     # Dropped frames are skipped; time stamps jitter by far less than a frame.
     stamps = take.time - 0.5 * np.diff(act.time).mean() + act.time[0]
     frames = np.minimum(np.searchsorted(act.time, stamps), len(act) - 1)

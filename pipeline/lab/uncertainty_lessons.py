@@ -161,7 +161,6 @@ def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None
 
 
 def _person(person: str, pairs: Sequence[PairedTake], prior: MotionPrior) -> Rows:
-    """Return the training data of a person, by a corrector trained on the others."""
     others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
     return lessons(teach("learned", training_set(others)), mine, prior=prior)

@@ -157,7 +157,6 @@ def yaw_of(positions: Array, skeleton: Skeleton) -> Array:
 
 
 def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
-    """Return the angle between heading and sensor [degrees], NaN where unknown."""
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
     view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])

@@ -204,7 +204,6 @@ def _top(hands: Hands, event: _Event, earliest: int) -> int:
 
 
 def _events(hands: Hands, radius: float) -> list[_Event]:
-    """Return holds and strokes in order of time."""
     held = _holds(hands, radius)
     bottoms = []
     for hand in (LEFT, RIGHT):
@@ -223,7 +222,6 @@ def _events(hands: Hands, radius: float) -> list[_Event]:
 
 
 def _catcher(stroke: _Event, following: _Event | None) -> int:
-    """Return the hand that gets the ball after a stroke."""
     if following is None or following.hand == _BOTH:
         return stroke.hand
     return following.hand
@@ -297,7 +295,6 @@ def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
 
 
 def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
-    """Return the center of the ball [m] in every frame of a contact."""
     both = np.zeros(len(hands.time))
     for hold in _holds(hands, radius):
         both[hold.first : hold.last + 1] = 1.0
@@ -312,10 +309,7 @@ def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
 
 
 def _between(hands: Hands, radius: float) -> Array:
-    """Return the center of a ball that both palms touch [m], (T, 3).
-
-    Where the palms are too close together the ball is in front of them.
-    """
+    """Return the center of a ball that both palms touch [m], (T, 3)."""
     away = (radius + hands.radius) ** 2 - 0.25 * hands.gap**2
     center = hands.middle + np.sqrt(np.maximum(away, 0.0))[:, None] * hands.reach
     center[:, 2] = np.maximum(center[:, 2], radius)
@@ -334,7 +328,6 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
 
 
 def _release_velocity(hands: Hands, touch: Contact) -> Array:
-    """Return the velocity [m/s] of the hand or hands that release the ball."""
     speed = hands.speed[touch.end]
     if touch.ending is Ending.STROKE:
         return np.asarray(speed[touch.thrower])
@@ -358,7 +351,6 @@ def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -
 
 
 def _let_go(path: Array, hands: Hands, last: Contact, radius: float) -> None:
-    """Fill in the flight of a ball that no one catches."""
     start, speed = path[last.end].copy(), _release_velocity(hands, last)
     time = hands.time[last.end :] - hands.time[last.end]
     low, up = float(start[2] - radius), float(speed[2])

@@ -131,7 +131,6 @@ def _pushed(
 
 
 def _smoothed(before: Pose, after: Pose, fps: float) -> Pose:
-    """Blur the arms over time where they were moved."""
     width = _SMOOTHING / 2.0 * fps
     moved = np.any(before.arm != after.arm, axis=-1)
     share = gaussian_filter1d(moved.astype(float), width, axis=0)[..., None]

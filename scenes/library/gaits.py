@@ -148,11 +148,7 @@ class _Loop:
         self._curvature = np.gradient(self._heading, self._distance)
 
     def _along(self, points: Array, start: float) -> tuple[Array, Array, Array]:
-        """Return points [m] moved from a straight path to the loop, heading, curvature.
-
-        z, counted from the start, becomes the distance along the loop, and x the
-        distance across it. Heading [rad] and curvature [1/m] are those of the loop.
-        """
+        """Return points [m] moved from a straight path to the loop, heading, curvature."""
         rounds, rest = np.divmod(points[..., 2] - start, self._distance[-1])
         x, z, heading, curvature = (
             np.interp(rest, self._distance, values)
@@ -232,7 +228,6 @@ def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
 
 
 def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    """Turn on the spot in small steps, one foot after the other."""
     score, pose = Score(base).hold(0.3), base
     center = base.ankle.mean(axis=0)
     home = np.array([center[0], base.root[1], center[2]])

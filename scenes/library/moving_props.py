@@ -82,7 +82,6 @@ def _held(hands: Hands) -> Array:
 
 
 def _laid(hands: Hands, frame: int, size: Array, support: Support) -> Array:
-    """Return the pose of the box upright on the surface below the hands, shape (7,)."""
     x, y, z, *turn = _held(hands)[frame]
     upright = normalize(np.array([turn[0], 0.0, 0.0, turn[3]]))
     return np.array([x, y, support(np.array([x, y, z])) + size[2], *upright])
@@ -107,7 +106,6 @@ def _carried(
 
 
 def _off(wanted: Array, held: Array) -> Array:
-    """Return the difference of two poses, quaternions in one hemisphere, shape (7,)."""
     sign = np.ones(7)
     sign[3:] = 1.0 if wanted[3:] @ held[3:] >= 0.0 else -1.0
     return np.asarray(sign * wanted - held)

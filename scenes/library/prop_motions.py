@@ -93,7 +93,6 @@ def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 
 def _ahead(yaw: float) -> Array:
-    """Return the horizontal direction of a heading [rad], shape (3,)."""
     return np.array([np.sin(yaw), 0.0, np.cos(yaw)])
 
 
@@ -191,7 +190,6 @@ def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
 
 
 def _shifted(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
-    """Vary the trunk and the head of a seated person."""
     lean, side, turn = size * rng.normal(0.0, (0.12, 0.08, 0.12))
     head = tuple(0.12 * size * rng.normal(size=3))
     return pose.leaning(pelvis=0.4 * lean, spine=(lean, side, turn), head=head)

@@ -292,7 +292,6 @@ def _blend(a: Array, b: Array, weight: Array) -> Array:
 
 
 def _bend(angles: Array) -> Array:
-    """Return the rotation of (flexion, bend to the left, axial rotation) [rad]."""
     turn = multiply(about_x(angles[..., 0]), about_z(-angles[..., 1]))
     return multiply(turn, about_y(angles[..., 2]))
 

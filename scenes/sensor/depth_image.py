@@ -96,7 +96,6 @@ class DepthCamera:
         return image
 
     def _box(self, joints: Array) -> tuple[Indices, Indices]:
-        """Return rows and columns (N,) of the pixels around joints [m]."""
         x, y, z = joints[joints[:, 2] > self.sensor.depth_range[0]].T
         spans = []
         for place, count in zip((-y, -x), self._shape, strict=True):

@@ -84,7 +84,6 @@ def propose(
 
 
 def _kernel(modes: Array, cloud: Array) -> Array:
-    """Return the Gaussian kernel of modes (J, M, 3) and points (J, N, 3), (J, M, N)."""
     away = np.square(modes).sum(-1)[..., None] + np.square(cloud).sum(-1)[:, None]
     away -= 2.0 * modes @ cloud.swapaxes(1, 2)
     return np.asarray(np.exp(-0.5 * np.maximum(away, 0.0) / _WIDTH**2))

@@ -95,7 +95,6 @@ class PosedBody:
 def _with_body(
     scene: mujoco.MjSpec | None, body: Body, moving: Sequence[str]
 ) -> mujoco.MjSpec:
-    """Return the scene with moving props and segments as mocap bodies."""
     if scene is None:
         spec = mujoco.MjSpec()
         floor = mujoco.mjtGeom.mjGEOM_PLANE

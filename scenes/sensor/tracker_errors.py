@@ -226,10 +226,7 @@ def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
 def _turned_toward(
     placed: Array, motion: Motion, sensor: Sensor, errors: TrackerErrors
 ) -> Array:
-    """Return the joints (T, J, 3) with the trunk turned toward a Kinect v2.
-
-    Other sensors have not been measured.
-    """
+    """Return the joints (T, J, 3) with the trunk turned toward a Kinect v2."""
     skeleton, root = motion.skeleton, motion.skeleton.root
     if skeleton != KINECT_V2:
         return placed

@@ -103,7 +103,6 @@ def with_guesses(
 
 
 def _between(start: Array, end: Array, share: Array) -> Array:
-    """Interpolate vectors (T, 3), both in direction and in length."""
     share = share[:, None]
     lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (start, end)]
     length = lengths[0] + share * (lengths[1] - lengths[0])

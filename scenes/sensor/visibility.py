@@ -173,7 +173,6 @@ def _mean_where(values: Array, mask: Flags) -> Array:
 
 
 def _pattern() -> Array:
-    """Points that fill the unit disk evenly (Vogel 1979), then a unit circle."""
     k = np.arange(_DISK_RAYS)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * k
     radius = np.sqrt((k + 0.5) / _DISK_RAYS)

@@ -151,7 +151,6 @@ class Exemplar(OffsetCorrector):
         self._squares = np.sum(self._rows * self._rows, axis=1)
 
     def _features(self, postures: Array) -> Array:
-        """Return the positions of the measured joints, shape (N, F)."""
         return postures[:, self.seen_].reshape(len(postures), -1)
 
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002 - needs the posture only

@@ -113,7 +113,6 @@ class ClusteredGP(Learner):
         self._learned = np.isin(np.arange(len(self.skeleton)), self.joints_)
 
     def _features(self, postures: Array) -> Array:
-        """Return the positions of the measured joints, shape (..., F)."""
         points = postures[..., self.seen_, :]
         return np.asarray(points.reshape(*points.shape[:-2], -1))
 
@@ -138,12 +137,7 @@ class ClusteredGP(Learner):
         return Correction(corrected, None, confidence, coverage)
 
     def _lengths(self, seen: Array | None) -> Array:
-        """Return mocap's bone lengths [m] at the scale where Kinect's are standard.
-
-        They are a mean over the examples, weighted by similarity of proportions.
-
-        ``seen`` are the person's own [m], as Kinect measures them, shape (J,).
-        """
+        """Return mocap's bone lengths [m] at the scale where Kinect's are standard."""
         if seen is None or self.lengths == "own":
             return self._walk.lengths
         squares = np.sum((self.people_ - seen) ** 2, axis=1)
@@ -160,7 +154,6 @@ class ClusteredGP(Learner):
 
 
 def _cluster_means(values: Array, labels: Indices) -> Array:
-    """Return the mean of each cluster's rows of ``values``, shape (Q, F)."""
     used, labels, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     sums = np.zeros((len(used), values.shape[1]))
     np.add.at(sums, labels, values)

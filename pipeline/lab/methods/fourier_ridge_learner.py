@@ -305,7 +305,6 @@ class FourierRidgeLearner(FourierRidge, Learner):
         return self
 
     def _mean_proportions(self, training: TrainingSet) -> Array:
-        """Return the mean over people of ``PostureFeatures.proportions``."""
         if training.lengths is None or training.person is None:
             return np.zeros(len(self._posture_features.limbs))
         each = []
@@ -316,10 +315,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
 
 
 def _turn_share(views: TrainingSet) -> float:
-    """Return the share of how far people are shown turned by which they turn farther.
-
-    Least squares over frames.
-    """
+    """Return the share by which people are turned farther than shown, by least squares."""
     shown = turned_away(direction_to(views.sensor, len(views)))
     yaws = [
         find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)
@@ -359,5 +355,4 @@ def _centers_of(features: Singles, count: int) -> Singles:
 
 
 def _half_precision(values: NDArray[Any]) -> Singles:
-    """Return values rounded to half precision, as a model file stores them."""
     return values.astype(np.float16).astype(np.float32)

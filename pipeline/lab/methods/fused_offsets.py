@@ -166,15 +166,7 @@ class FusedOffsets(OffsetCorrector):
     def _fused(
         self, mean: Array, variance: Array, prior: Array, posture: Array, seen: Array
     ) -> Array:
-        """Return the offsets [m] of least energy, shape (M, 3).
-
-        Args:
-            mean: Predicted offsets [m], shape (M, 3).
-            variance: Their variance [m^2], shape (M, 3) or (M, 1).
-            prior: Variance of offsets without training data nearby [m^2], shape (M,).
-            posture: The joints that offsets are added to [m], shape (J, 3).
-            seen: Reliability of the joints, 0 where missing, shape (J,).
-        """
+        """Return the offsets [m] of least energy from predictions and ``prior`` variances."""
         scale: Any = prior[:, None]
         moves: Any = 1.0
         misplaced: Any = 1.0

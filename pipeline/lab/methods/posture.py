@@ -25,7 +25,6 @@ class LeastEnergy(LocalPCA):
         return Correction(postures, rotations, 0.0 * weights, unknown)
 
     def _weights(self, observation: Observation) -> Array:
-        """Return each joint's weight, 0 where it is missing, shape (..., J)."""
         return observation.reliability * _present(observation)
 
 

@@ -136,7 +136,6 @@ class TrainingFrames:
 def _complete_frames(
     training: TrainingSet, joints: Indices, least_reliability: float
 ) -> Indices:
-    """Return the frames in which all the joints are reliable, measured and true."""
     frames = []
     for block in chunks(len(training), _BLOCK):
         complete = training.reliability[block][:, joints] >= least_reliability

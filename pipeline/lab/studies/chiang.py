@@ -99,7 +99,6 @@ def _arms(
 
 
 def _arm_errors(chosen: Sequence[Flags], takes: Sequence[list[Array]]) -> list[float]:
-    """Return each motion's error [cm] in chosen frames, and the last one's by joint."""
     arms = [
         np.concatenate([part[k] for k, part in zip(chosen, parts, strict=True)])
         for parts in zip(*takes, strict=True)
@@ -158,7 +157,6 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
 def _splits(
     clips: Sequence[PairedTake], person: str
 ) -> dict[str, tuple[list[PairedTake], list[PairedTake]]]:
-    """Return training clips, and every third of the test clips, by protocol."""
     rng, train, test = np.random.default_rng(0), list[PairedTake](), list[PairedTake]()
     for pair in clips:
         held_out = (rng.random(len(pair.take)) < _HELD_OUT)[:, None, None]

@@ -122,7 +122,6 @@ def judge(
 
 
 def _cells(path: Path) -> dict[tuple[str, str], str]:
-    """Return the cells of a study's table by row and column; none without the file."""
     if not path.is_file():
         return {}
     with path.open(encoding="utf-8", newline="") as file:

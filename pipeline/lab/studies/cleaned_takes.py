@@ -133,7 +133,6 @@ def _off(take: Take, positions: Array, truth: Array | None, before: int = 0) -> 
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
-    """Return a figure's mean over takes and its worst value; None without takes."""
     known = [value for value in values if np.isfinite(value)]
     if not known:
         return None, None
@@ -141,7 +140,6 @@ def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
 
 
 def _sorted_takes(name: str, by_group: dict[str, list[float]]) -> Panel:
-    """Return a panel with a figure of every take, from smallest to largest."""
     lines = [
         Series(group, np.linspace(0.0, 100.0, len(values)).tolist(), sorted(values))
         for group, values in by_group.items()

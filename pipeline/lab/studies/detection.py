@@ -91,7 +91,6 @@ def _kinds(take: Take) -> set[FailureKind]:
 
 
 def _near(pair: PairedTake) -> bool:
-    """Return True if no limb is far from the mocap for long."""
     joints = [LIMBS.index(j + side) for j in _JOINTS for side in ("Left", "Right")]
     distances = Accuracy(pair.take.skeleton).distances(pair.take.positions, pair.truth)
     # Axes: time, arm or leg, joint of the limb, side.

@@ -95,7 +95,6 @@ def _errors_on(
     train: Sequence[PairedTake],
     test: Sequence[PairedTake],
 ) -> Errors:
-    """Return the errors on test clips of systems trained on others."""
     trainer, prior = CorrectorFactory(train), train_prior_on(train)
     none = _cleaned(CleanConfig("none", physics=False), None, prior)
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
@@ -133,7 +132,6 @@ def _unleveled(run: Callable[[Take], Array], take: Take) -> tuple[Array, Turn]:
 def _means(
     clips: Sequence[PairedTake], run: Runner, guesses: Collection[str] = tuple(GUESSES)
 ) -> dict[str, float]:
-    """Return the errors [cm] on some clips, by situation."""
     found: dict[str, list[float]] = {}
     for k, pair in enumerate(clips):
         take, skeleton = pair.take, pair.take.skeleton

@@ -84,7 +84,6 @@ def methods_known_people(
 def _on_person(
     people: Sequence[str], movements: int, options: Options, name: str
 ) -> dict[str, _People]:
-    """Return the errors of methods on one person, trained on the others."""
     test = clips_of([name], movements, options)[::_EVERY]
     others = [other for other in people if other != name]
     train = clips_of(others, movements, options)

@@ -263,13 +263,11 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
 
 
 def _spread(choices: Sequence[int], count: int) -> list[int]:
-    """Return evenly spread choices, including the first."""
     count = min(count, len(choices))
     return [choices[k * len(choices) // count] for k in range(count)]
 
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
-    """Return databases of scripted postures, filtered to about the given sizes."""
     shipped, found = builtin_database(KINECT_V1), dict[int, PostureDatabase]()
     parts: list[Any] = [("shipped", shipped.positions, shipped.rotations)]
     for size in over(sorted(sizes), "filter", progress):
@@ -282,7 +280,6 @@ def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase
 def _measure(
     method: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]
 ) -> list[float]:
-    """Return energy [m^2], error [cm] and time per frame [ms]."""
     energies, seconds, errors = [], [], []
     for pair, draft in takes:
         method.start()
@@ -301,7 +298,6 @@ def _measure(
 
 
 def _panel(rows: Sequence[Row], name: str, column: int, label: str) -> Panel:
-    """Return a panel of both searches over the values of a parameter."""
     lines = []
     for search in ("stochastic", "solver"):
         own = [row for row in rows if (row[0], row[2]) == (name, search)]

@@ -143,7 +143,6 @@ def _milliseconds(
 
 
 def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:
-    """Return the share of exact answers [%] among every tenth query."""
     exact = []
     for posture, reliability in queries[::_CHECKED]:
         distances = np.zeros(len(postures))

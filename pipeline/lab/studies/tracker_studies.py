@@ -189,7 +189,6 @@ def tracker_lessons(
 
 
 def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[PairedTake]]:
-    """Return training clips and test clips."""
     people = recorded_people(options.data)
     held_out = [p for p in people if p in _TEST_PEOPLE] or people[len(people) // 2 :]
     known = clips_of([p for p in people if p not in held_out], 10, options)

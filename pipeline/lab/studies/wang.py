@@ -47,7 +47,6 @@ def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
 
 
 def _dances(options: Options, frames: int) -> list[PairedTake]:
-    """Return takes of people who dance, with at least as many frames in all."""
     first, dances = first_person(options.seed), list[PairedTake]()
     while sum(len(pair.take) for pair in dances) < frames:
         person = first + len(dances)
