@@ -270,7 +270,7 @@ def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
 
 
 def _on_floor(take: Take, standing: Clip | Take) -> Array:
-    """Return a take's joints [m], leveled and with feet at a clip's height, (T, J, 3)."""
+    """Return a take's joints [m], leveled and with its feet at a clip's height."""
     height, positions = _foot_height(standing.positions), take.positions
     if abs(_foot_height(positions) - height) < _OFF:
         return positions

@@ -148,7 +148,7 @@ class _Loop:
         self._curvature = np.gradient(self._heading, self._distance)
 
     def _along(self, points: Array, start: float) -> tuple[Array, Array, Array]:
-        """Return points [m] moved from a straight path to the loop, heading, curvature."""
+        """Return points [m] moved from a straight path to the loop, and its heading."""
         rounds, rest = np.divmod(points[..., 2] - start, self._distance[-1])
         x, z, heading, curvature = (
             np.interp(rest, self._distance, values)

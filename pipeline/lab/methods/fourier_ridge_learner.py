@@ -315,7 +315,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
 
 
 def _turn_share(views: TrainingSet) -> float:
-    """Return the share by which people are turned farther than shown, by least squares."""
+    """Return the share by which people turn farther than shown, by least squares."""
     shown = turned_away(direction_to(views.sensor, len(views)))
     yaws = [
         find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)

@@ -166,7 +166,7 @@ class FusedOffsets(OffsetCorrector):
     def _fused(
         self, mean: Array, variance: Array, prior: Array, posture: Array, seen: Array
     ) -> Array:
-        """Return the offsets [m] of least energy from predictions and ``prior`` variances."""
+        """Return the offsets [m] of least energy around predictions, shape (M, 3)."""
         scale: Any = prior[:, None]
         moves: Any = 1.0
         misplaced: Any = 1.0
