@@ -84,9 +84,9 @@ def mean_of_known(values: Array) -> Array:
 
 
 def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
-    """Return the percentages of coordinates with errors below 1 and 1.96 uncertainties.
+    """Return the percentages of ``ratios`` of errors to uncertainties below 1 and 1.96.
 
-    ``ratios`` are absolute errors divided by uncertainties, NaN where unknown.
+    Ratios are NaN where unknown; None if all are.
     """
     known = ratios[~np.isnan(ratios)]
     if not known.size:
@@ -115,9 +115,8 @@ class _Person:
     def figures(self) -> dict[str, float | None]:
         """Return means over frames and joints [cm], and the jitter [m/s^3].
 
-        ``within_68`` and ``within_95`` are percentages of coordinates with errors below
-        the uncertainty and below 1.96 times the uncertainty. ``found`` is the area
-        under the ROC curve of how far a joint was moved, for wrong raw joints.
+        ``found`` is the area under the ROC curve of how far a joint was moved, for
+        wrong raw joints; for the others see ``within_uncertainty``.
         """
         distances = np.concatenate(self.distances)
         within = within_uncertainty(np.concatenate(self.ratios or [np.empty(0)]))
@@ -151,11 +150,10 @@ class Tally:
         *,
         warned: bool = False,
     ) -> None:
-        """Add a clip.
+        """Add a clip of a raw take and its truth, cleaned in a time [s].
 
-        It consists of the raw take with its truth, the joint positions of the method's
-        clip [m], shape (T, J, 3), the computing time [s], the uncertainty of the joints
-        [m], shape (T, J), and whether cleaning warned of displaced limbs.
+        Positions [m] have shape (T, J, 3), their uncertainty [m] has (T, J); ``warned``
+        tells whether cleaning warned of displaced limbs.
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth

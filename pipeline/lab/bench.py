@@ -58,10 +58,7 @@ class Timed(Stage):
 
 
 def bench(path: Path | None = None) -> dict[str, Any]:
-    """Return milliseconds per frame of every stage, and compare the two searches.
-
-    ``path`` is the take to clean, by default the sample that ships with kinefilter.
-    """
+    """Return the times of cleaning a take, by default the sample that ships."""
     take = read_take(path or SAMPLE)
     return {
         **_time_stages(take),

@@ -50,8 +50,8 @@ def database_from_mocap(
     """Build a database for the takes of a skeleton from mocap files.
 
     Files are BVH, AMC with its ASF, C3D or TRC, in any unit, with the joint names of
-    ``retarget/source_rigs``. The threshold rule keeps about ``count`` postures. Raises
-    an InputError if there is no file, or if one lacks a joint.
+    ``retarget/source_rigs``; InputError without any, or if one lacks a joint. The
+    threshold rule keeps about ``count`` postures.
     """
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
@@ -69,10 +69,7 @@ def database_from_mocap(
 def database_from_pairs(
     pairs: Iterable[PairedTake], skeleton: Skeleton, *, count: int = FILTERED_POSTURES
 ) -> PostureDatabase:
-    """Build a database from the mocap in pairs, like ``database_from_mocap``.
-
-    Raises an InputError if the pairs contain no mocap, or are of another skeleton.
-    """
+    """Build a database from the mocap in pairs, like ``database_from_mocap``."""
     people: set[str] = set()
     truths = _truths(pairs, skeleton, people)
     database = filtered_database(truths, skeleton, "pairs", count)
@@ -106,10 +103,7 @@ def _truths(
 def scripted_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
-    """Perform every scripted motion and keep postures that differ.
-
-    The result ships in ``pipeline/embedded`` as the built-in database.
-    """
+    """Return the built-in database: postures of all scripted motions that differ."""
     parts = scripted_postures(skeleton, progress)
     return filtered_database(
         parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
@@ -121,8 +115,8 @@ def scripted_postures(
 ) -> Iterator[tuple[str, Array, Array]]:
     """Yield the name, postures and segment rotations of every scripted performance.
 
-    The performers differ in height and build; the postures are on the standard body, 30
-    a second.
+    The performers differ in height and build, and the postures are on the standard
+    body, 30 a second.
     """
     # All motions by one person, then by the next: the filter keeps earlier postures.
     for k in progress("motion database", people * len(MOTIONS)):
@@ -202,10 +196,9 @@ def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
 
 
 def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
-    """Return the file's unit [m] and the body of the performer.
+    """Return the file's unit [m] and the performer's body by positions (T, J, 3).
 
-    Bone lengths are those of the mocap, and average where it has none; positions have
-    shape (T, J, 3).
+    Bones that the mocap lacks have average lengths.
     """
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
@@ -223,10 +216,7 @@ def whole_frames(positions: Array) -> Flags:
 
 
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
-    """Return rotations relative to a T-pose in the first frame, as mocap often has.
-
-    None without a T-pose there: the twist of the bones is then unknown.
-    """
+    """Return rotations relative to a T-pose in the first frame; None without one."""
     skeleton = body.skeleton
     heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
     parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]

@@ -1,8 +1,7 @@
 """Errors of reconstructed limbs that were hidden in recorded takes.
 
-A visible limb is hidden in the middle of a clip and the take is cleaned. The hidden
-joints are compared with those of the take cleaned with nothing hidden, and with marker
-mocap; simple guesses serve as baselines.
+They are relative to the take cleaned with nothing hidden, and to marker mocap; simple
+guesses serve as baselines.
 """
 
 import re
@@ -88,17 +87,16 @@ def measure_hidden(
     """Hide limbs in clips and measure the errors after cleaning.
 
     Methods, presets and ``assigned`` are as for ``systems_of``. Methods that learn are
-    trained on the clips of the other people, with nothing hidden. The prior for hidden
-    limbs is the one that ships, or with ``recordings`` one that is trained on these and
-    on the clips of the other people. Only every Nth take is cleaned.
+    trained on the clips of the other people, with nothing hidden, and so is, with
+    ``recordings`` in addition, the prior for hidden limbs; by default it is the one
+    that ships. Only every Nth take is cleaned.
 
     Returns a record of each gap, and the number of gaps that were too long for their
     clip. Errors [cm] are means over frames and joints, of the method, of the clip with
     nothing hidden (``seen``) and of the baselines in ``SIMPLE``: relative to that clip
-    (``unhidden``) and to the ground truth (``mocap``). ``within`` holds the percentages
-    of hidden coordinates with errors below 1 and 1.96 uncertainties; None in live mode
-    and without ground truth. Raises an InputError if a method is unknown, or if the
-    gaps fit into no clip.
+    (``unhidden``) and to the ground truth (``mocap``). ``within`` is
+    ``within_uncertainty`` of the hidden coordinates; None in live mode and without
+    ground truth. Raises an InputError if a method is unknown, or no gap fits.
     """
     systems = systems_of(methods, presets, assigned, physics=options.physics)
     cases = list(join_cases(pairs, options.context))[:: as_step(every)]
@@ -300,9 +298,8 @@ def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
     """Return a row for each limb, value of ``by``, and method or baseline.
 
-    Records are those of ``measure_hidden``. Means are over clips, then over people.
-    Baselines are those of the last method's clips, but percentages of hold relate each
-    method to hold on its own clips.
+    Means are over clips, then over people. Baselines are those of the last method's
+    clips, but percentages of hold relate each method to hold on its own clips.
     """
     groups: dict[tuple[str, str, str], list[Record]] = {}
     for record in records:

@@ -43,10 +43,9 @@ def distances(track: Track) -> Array:
 def best_lag(first: Array, second: Array, least: float) -> Lag | None:
     """Return the lag of the highest correlation, or None if the overlap is too short.
 
-    The lag is the time in the second recording at which the first one begins.
-
-    Distances [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F). The
-    recordings overlap by ``least`` [s] or more.
+    The lag is the time in the second recording at which the first one begins. Distances
+    [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F); they overlap
+    by ``least`` [s] or more.
     """
     lags, correlation, common = correlations(first, second)
     valid = (common >= least * _RATE) & ~np.isnan(correlation)
@@ -83,11 +82,9 @@ def refine_lag(take: Track, mocap: Track, clock: Clock) -> Clock:
 def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
     """Return the clock with its drift, or None if the drift may be zero.
 
-    The lag is found in windows of a few seconds; the drift is the slope of the
-    Theil-Sen line through these lags.
-
-    Distances [m] are as for ``best_lag``, and those in ``first`` begin with the first
-    recording; ``clock`` has no drift yet.
+    The drift is the slope of the Theil-Sen line through the lags of windows of a few
+    seconds. Distances [m] are as for ``best_lag``, and those in ``first`` begin with
+    the first recording; ``clock`` has no drift yet.
     """
     width, hop = round(_WINDOW * _RATE), round(_HOP * _RATE)
     margin = round((_MARGIN + _LARGEST_DRIFT * len(first) / _RATE) * _RATE)

@@ -136,8 +136,7 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
 def _hidden_rows(stretch: Stretches, modes: Sequence[Mode]) -> Iterator[Lessons]:
     """Yield training data of a limb in a stretch, with time forward and backward.
 
-    People move backward in time much as they do forward. With both, networks erred some
-    2 % less for people and takes that they were not trained on.
+    With both, networks erred some 2 % less for new people and takes.
     """
     seen, length = stretch.seen, stretch.length
     starts = len(seen.positions) - stretch.starts - length

@@ -118,9 +118,9 @@ def joint_centers(
 ) -> Mocap:
     """Return mocap with the joints of a Kinect skeleton, in meters, NaN where missing.
 
-    The mocap has markers, or joints with names from ``retarget/source_rigs``. ``table``
-    locates joints among the markers; by default the mocap has joints, or the markers of
-    Plug-in Gait. Raises an InputError if it has neither, or if no unit of length fits.
+    ``table`` locates joints among the mocap's markers; by default the mocap has joints
+    with names from ``retarget/source_rigs``, or the markers of Plug-in Gait. Raises an
+    InputError if it has neither, or if no unit of length fits.
     """
     positions, unit, meters = _joints(mocap, skeleton, table)
     if not unit:

@@ -4,8 +4,7 @@ A sensor still reports a limb that it does not see: hanging, frozen, drifting or
 between two guesses. A logistic regression recognizes this from the limb's motion and
 from the sensor's view. It was trained on people in front of two sensors, of which the
 frontal one showed which joints of the side-on one were off by more than 12 cm. The
-scores rank joints and are not calibrated: errors are much rarer in frontal views. No
-stage of cleaning uses them.
+scores rank joints and are not calibrated. No stage of cleaning uses them.
 """
 
 import tomllib
@@ -37,10 +36,7 @@ _FARTHEST = 0.5  # m beyond which the opposite limb hides nothing
 
 
 def misplaced(take: Take) -> Array:
-    """Return a score in [0, 1] of each joint being 12 cm or more off, shape (T, J).
-
-    It is 0 for joints other than elbows, wrists, knees and ankles.
-    """
+    """Return a score in [0, 1] of each joint of PARTS being 12 cm off, shape (T, J)."""
     scores = np.zeros(take.positions.shape[:2])
     path = resources.files("kinefilter.pipeline.lab").joinpath("misplaced.toml")
     weights = tomllib.loads(path.read_text("utf-8"))

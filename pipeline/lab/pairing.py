@@ -107,11 +107,11 @@ def pair_session(
 ) -> tuple[list[Pairing], list[str]]:
     """Return pairs of a person's takes and mocap, and why the others are left out.
 
-    Each recording is a take and mocap of the same movement; neither the sensor nor the
-    mocap system moved between them. Clips are named after the takes' files; ``table``
-    locates joints among markers, see ``joint_centers``; ``least`` is the minimum share
-    of a take's movement that its mocap must explain. Raises an InputError if no take
-    can be paired, or if the takes differ in skeleton or frame rate.
+    Neither the sensor nor the mocap system moved between the recordings. Clips are
+    named after the takes' files; ``table`` locates joints among markers, see
+    ``joint_centers``; ``least`` is the minimum share of a take's movement that its
+    mocap must explain. Raises an InputError if no take can be paired, or if the takes
+    differ in skeleton or frame rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)
@@ -257,9 +257,8 @@ def _explained(match: _Match, placed: Placement) -> float:
     """Return the share of the take's movement that its mocap explains.
 
     Each joint's constant offset is ignored: it only reflects how the joint is defined.
-    Squared distances are compressed by the logarithm, as when lag and transform are
-    fitted: a limb that the sensor loses for a while says little about whether the
-    recordings belong together.
+    Squared distances are compressed by the logarithm, because a limb that the sensor
+    loses for a while says little about whether the recordings belong together.
     """
     limbs = [match.take.skeleton.index(joint) for joint in LIMBS]
     joints = match.take.positions[:, limbs]
@@ -350,8 +349,8 @@ def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
 def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
     """Return frames at the take's nominal rate, as pairs files have no time stamps.
 
-    Frames are not interpolated; each moves by at most half a step. Of several frames at
-    one step the first is kept, and a step without a frame becomes an empty frame.
+    Each moves by at most half a step. Of several at one step the first is kept, and a
+    step without a frame becomes an empty frame.
     """
     step, time = nominal_step(take.time), take.time[rows]
     rounded = np.round((time - time[0]) / step).astype(int)

@@ -47,11 +47,7 @@ Trial = tuple[tuple[int, int], ...]
 
 
 def find_system(word: str) -> tuple[str, Motions]:
-    """Return the name and the motions of a system given as NAME=PATH or as a path.
-
-    A motion is named after its file without suffixes, including subfolders. Raises an
-    InputError if there is no motion, or if two have the same name.
-    """
+    """Return the name and the motions of a system given as NAME=PATH or as a path."""
     name, equals, path = word.partition("=")
     if not equals or as_path(word).exists():
         name, path = as_path(word).name, word
@@ -62,7 +58,10 @@ def find_system(word: str) -> tuple[str, Motions]:
 
 
 def motions_of(path: Path) -> Motions:
-    """Return the motions in a file or a folder, named as in ``find_system``."""
+    """Return the motions in a file or a folder, named after files without suffixes.
+
+    InputError if there is none, or if two have the same name.
+    """
     if not path.is_dir():
         return {_motion_in(Path(path.name)): path}
     found: Motions = {}
@@ -106,8 +105,8 @@ def planned(
 ) -> list[Trial]:
     """Return the trials in order, see ``write_rating_page``.
 
-    Every two systems are compared in every motion. The counts of left and right differ
-    by at most one for each system, and for each system against each other one.
+    Every two systems are compared in every motion, on the left and on the right about
+    as often, by system and by pair of systems.
     """
     rng = np.random.default_rng(seed)
     trials: list[Trial] = []
@@ -126,10 +125,7 @@ def planned(
 
 
 def _swapped(trials: Sequence[Trial], count: int) -> list[Trial]:
-    """Return some pairs with swapped sides, chosen to keep the sides balanced.
-
-    Among equals the earliest is taken, as it was shown the longest ago.
-    """
+    """Return some pairs with swapped sides, the earliest that keep sides balanced."""
     lead = Counter(left for (_, left), _ in trials)  # how much more often left
     lead.subtract(right for _, (_, right) in trials)  # than right, by system
     rest, again = list(trials), list[Trial]()
@@ -260,8 +256,8 @@ def _read(path: Path) -> Clip | Take:
 def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
     """Return a clip that stands on the floor, preferably one with a known tilt.
 
-    A CSV may be a take in its sensor's frame. It counts only if there is no other clip;
-    then the one whose feet are nearest to y = 0 is taken.
+    A CSV may be a take in its sensor's frame, so the one whose feet are nearest to
+    y = 0 counts only without another clip.
     """
     if leveled_clips := [clip for clip in clips if isinstance(clip, Clip)]:
         return max(leveled_clips, key=lambda clip: np.isfinite(clip.tilt))

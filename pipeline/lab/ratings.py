@@ -1,10 +1,9 @@
 """Statistics of the grades that raters gave on a page of ``rating``.
 
-Shum et al. 2013 (Figure 6) print the mean grade and standard deviation of each method,
-and say "significantly" without naming a test. Here every two systems are compared by
-Wilcoxon's signed-rank test, because all raters grade both systems and grades need not
-be normal. The p-values are corrected for multiple testing after Holm 1979 (A simple
-sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6).
+Shum et al. 2013 (Figure 6) print means and standard deviations, and say "significantly"
+without naming a test. Here every two systems are compared by Wilcoxon's signed-rank
+test, because all raters grade both and grades need not be normal; p-values are
+corrected after Holm 1979 (Scandinavian Journal of Statistics 6).
 """
 
 import json
@@ -206,8 +205,8 @@ def holm(p: Sequence[float]) -> list[float]:
 def _agreement(answers: Sequence[Answer]) -> Figures:
     """Return how consistently a rater answered the trials that came twice.
 
-    In trials counted as ``reversed``, the other of the two clips was better the second
-    time. ``apart`` is the mean difference between two grades of the same clip.
+    ``reversed`` are trials in which the other clip was better the second time;
+    ``apart`` is the mean difference between two grades of the same clip.
     """
     first: dict[tuple[int, ...], dict[int, int]] = {}
     twice = reversals = 0

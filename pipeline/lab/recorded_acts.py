@@ -98,9 +98,9 @@ def _observed(pair: Pair, tracker: Tracker) -> Take:
 def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     """Return the motion of a mocap file, resampled and centered on the world's floor.
 
-    It is performed by the body in the file, on ``skeleton``, and starts facing +z.
-    Joints that the file lacks keep their rest posture; positions are interpolated
-    linearly. Raises an InputError for other files, unknown joints or too few frames.
+    It is performed by the body in the file and starts facing +z. Joints that the file
+    lacks keep their rest posture; positions are interpolated linearly. Raises an
+    InputError for other files, unknown joints or too few frames.
     """
     mocap = read_mocap(path)
     positions = kinect_motion(mocap, skeleton, RIGS).positions

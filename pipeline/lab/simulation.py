@@ -67,12 +67,9 @@ def simulate(
 
     Arguments are those of ``kinefilter simulate``, which explains them. ``person`` is
     the seed of the person and of the sensor's constant errors for them, by default
-    ``seed``. With ``stay_in_view`` people walk in circles within the sensor's view; by
-    default gaits go straight and leave it, as in the takes behind the embedded weights
-    and the published figures: studies and training keep this default.
-
-    Raises:
-        InputError: The scene, motion, sensor, skeleton or tracker is unknown.
+    ``seed``. Without ``stay_in_view`` gaits go straight and leave the view, as in the
+    takes behind the embedded weights and the published figures. Raises an InputError if
+    the scene, motion, sensor, skeleton or tracker is unknown.
     """
     if sensor not in SENSORS:
         raise InputError(f"unknown name {sensor!r}; known: {', '.join(SENSORS)}")
@@ -133,11 +130,10 @@ def simulate_session(
 ) -> list[SimulatedView]:
     """Return the simultaneous takes of several virtual Kinects, with ground truth.
 
-    Each sensor has its own skeleton, errors, height, tilt and clock. Clocks start at an
-    arbitrary time and drift by up to 0.1 ms per second; the sensors' frames interleave.
-    The ground truth is in each sensor's frame, at its own frames. Scenes and motions
-    are those of ``simulate``. The person faces the first of ``sensors``, which stand
-    ``degrees`` apart around the person. The seed determines everything random.
+    Each sensor has its own skeleton, errors, height, tilt and clock, which starts at an
+    arbitrary time and drifts by up to 0.1 ms per second; the sensors' frames
+    interleave. The ground truth is in each sensor's frame, at its own frames. The
+    person faces the first of ``sensors``, which stand ``degrees`` apart.
     """
     rng, room = np.random.default_rng([seed, 2]), load_scene(scene)
     views, count = [], len(sensors)
@@ -211,9 +207,8 @@ def pairs_with_props(
 ) -> list[PairedTake]:
     """Return takes for training in which props hide people too.
 
-    Of ten people, four move on an empty floor, three behind a prop, and three use a
-    prop. They are the people of ``simulated_pairs``, seen by the sensor that has the
-    skeleton.
+    Of ten of the people of ``simulated_pairs``, four move on an empty floor, three
+    behind a prop, and three use a prop.
     """
     rng = np.random.default_rng(0)
     standing = [motion for motion in MOTIONS if motion not in _ELSEWHERE]
@@ -238,12 +233,9 @@ def truth_of(pair: PairedTake) -> Take:
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
-    """Write clips of one person as a pairs file, see ``read_pairs``.
+    """Write clips of one person as a pairs file, at their median frame rate.
 
-    Pairs files have a constant frame rate: the median rate of the clips is written.
-
-    Raises:
-        InputError: The file cannot be written.
+    Raises an InputError if the file cannot be written.
     """
     takes = [pair.take for pair in pairs]
     stop = np.cumsum([len(take) for take in takes])

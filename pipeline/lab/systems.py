@@ -110,9 +110,9 @@ def as_step(every: int) -> int:
 class CorrectorFactory:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
-    With ``people`` they also learn each person's own offsets, for tests on the same
-    people. All methods except ``default`` take their postures from ``database``, by
-    default the built-in one; ``skeleton`` is by default that of the clips.
+    With ``people`` they also learn each person's own offsets. All methods except
+    ``default`` take their postures from ``database``, by default the built-in one;
+    ``skeleton`` is by default that of the clips.
     """
 
     def __init__(

@@ -31,10 +31,8 @@ def training_set(
     """Transfer pairs to the standard body, as a corrector will receive them.
 
     The frames are stored on disk, so they may be larger than memory. They are scored as
-    in ``config``, by default as ``clean`` does.
-
-    Raises:
-        InputError: There are no pairs, or their skeletons differ.
+    in ``config``, by default as ``clean`` does. Raises an InputError if there are no
+    pairs, or if their skeletons differ.
     """
     skeleton: Skeleton | None = None
     parts = [Spool(np.float64) for _ in range(6)]
@@ -96,8 +94,7 @@ def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
 def standard_truth(pair: PairedTake, draft: Draft) -> Array:
     """Return the mocap of a pair on the standard body, as in its draft [m], (T, J, 3).
 
-    NaN where missing. The mocap is shifted so that the middle of the hips, to which
-    errors are relative, coincides with the measured one.
+    NaN where missing, and shifted so that the middle of the hips is the measured one.
     """
     hips, measured = draft.skeleton.hips, draft.measured
     shift = measured[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
@@ -121,10 +118,7 @@ def teach(
     ``learned`` is also trained on simulated people, always the same ones, and on
     ``views``, the sessions of two sensors (see ``view_pairs``); with ``people`` it
     learns each person's own offsets too. ``settings`` are keywords of the constructors
-    of the other methods.
-
-    Raises:
-        InputError: The pairs are too few.
+    of the other methods. Raises an InputError if the pairs are too few.
     """
     if method == "learned":
         return FourierRidgeLearner(lessons.skeleton).fit(

@@ -57,14 +57,11 @@ def compare_views(
 ) -> Figures:
     """Return the distances between two sensors' limbs [cm], by session and by angle.
 
-    Beside them are the angles between the headings of the trunk [degrees], medians over
-    frames, because sides may be swapped in some. The side sensor's take is cleaned with
-    each method, with or without physics. All must work without training, as in
-    ``measure_hidden``, except ``learned``, which is trained on the pairs ``train`` and
-    the sessions of other people.
-
-    Raises:
-        InputError: A method is unknown, or takes do not belong together.
+    Beside them are the median angles between the headings of the trunk [degrees]. The
+    side sensor's take is cleaned with each method. All must work without training
+    except ``learned``, which is trained on the pairs ``train`` and the sessions of
+    other people. Raises an InputError if a method is unknown, or if takes do not belong
+    together.
     """
     check_untrained([m for m in methods if m != "learned" or not train])
     trained: dict[str, LearnedCorrector] = {}
@@ -165,8 +162,7 @@ def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     """Return the angles between the trunk's heading and the true one [degrees], (T,).
 
-    The two are brought together by the middle line of the body, because a sensor may
-    show hips and shoulders turned.
+    The middle line of the body brings them together: hips and shoulders may be turned.
     """
     names = ("Head", "KneeLeft", "AnkleLeft")
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]

@@ -95,11 +95,7 @@ class Views(NamedTuple):
 
 
 def read_views(session: Session) -> Views:
-    """Read a session's takes and match their frames.
-
-    Raises:
-        InputError: The takes do not belong together.
-    """
+    """Read a session and match its frames; InputError if the takes are of two."""
     first, second = read_take(session.first), read_take(session.second)
     if first.skeleton != second.skeleton:
         raise InputError(
@@ -169,10 +165,7 @@ def degrees_of(angles: Array) -> Array:
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
-    """Return lightly smoothed positions [m] and plausible limbs, (T, J, 3) and (T, 4).
-
-    A limb is implausible where a bone's length or a joint's speed is.
-    """
+    """Return smoothed positions [m], (T, J, 3), and limbs without odd bones, (T, 4)."""
     time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
     positions, skeleton = take.positions[first], take.skeleton
     missing = np.isnan(positions)
@@ -193,8 +186,8 @@ def view_pairs(
 ) -> Iterator[PairedTake]:
     """Yield the takes of side sensors with the front sensor's joints as ground truth.
 
-    The ground truth is in the side sensor's frame; it is NaN in frames that the front
-    sensor lacks or in which the person turns away from it.
+    It is in the side sensor's frame, and NaN where the front sensor has no frame or the
+    person turns away from it.
     """
     for session in over(sessions, "read views", progress):
         side, at, seen, *_, faces = read_views(session)
