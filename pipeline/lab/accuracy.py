@@ -102,15 +102,12 @@ class _Person:
     standardized: list[Array] = field(default_factory=list)
     varying: list[Array] = field(default_factory=list)
     jitters: list[float] = field(default_factory=list)
-    ratios: list[Array] = field(default_factory=list)
-    """Absolute errors of coordinates, divided by the clip's uncertainty."""
-    wrong: list[Flags] = field(default_factory=list)
-    """Whether a raw joint has an offset-free error above ``FAR``."""
-    moved: list[Array] = field(default_factory=list)
-    """Offset-free distance by which the method moved that joint [m]."""
-    movements: list[str] = field(default_factory=list)  # the movement in each clip
+    ratios: list[Array] = field(default_factory=list)  # errors over uncertainties
+    wrong: list[Flags] = field(default_factory=list)  # raw joints beyond ``FAR``
+    moved: list[Array] = field(default_factory=list)  # how far, without offset [m]
+    movements: list[str] = field(default_factory=list)
     misplaced: list[tuple[bool, bool]] = field(default_factory=list)
-    """Per clip: whether a limb was misplaced, and whether a warning said so."""
+    """Whether a limb was misplaced, and whether a warning said so."""
 
     def figures(self) -> dict[str, float | None]:
         """Return means over frames and joints [cm], and the jitter [m/s^3].

@@ -25,8 +25,8 @@ class FullGP(FusedOffsets):
     """Adds to each joint the offset predicted by one Gaussian process over all samples.
 
     Zhou, Liu, Leung & Shum 2014, "Posture reconstruction using Kinect with a
-    probabilistic model", VRST: the predecessor that Liu 2016 compares with. By default
-    only the prediction counts, not movement and reliability.
+    probabilistic model", VRST. By default only the prediction counts, not movement and
+    reliability.
     """
 
     samples: int = 2500
@@ -102,8 +102,7 @@ class FullGP(FusedOffsets):
     def _explained(self, gaussian: Array) -> Array:
         """Return a lower bound on the share of theta0 that the samples explain, (M,).
 
-        It comes from the nearest samples, relative to what a sample explains of itself,
-        so that it is 1 at the training data.
+        It comes from the nearest samples, and is 1 at the training data.
         """
         count = min(_FOR_VARIANCE, gaussian.shape[1])
         near = np.argpartition(-gaussian, count - 1, axis=1)[:, :count]

@@ -34,21 +34,18 @@ _PEOPLE = 800  # examples of true and measured segment lengths
 class ClusteredGP(Learner):
     """Moves joints to where one process over the whole standardized posture puts them.
 
-    By default the process models the difference of mocap and Kinect. Its prior mean is
-    then the measurement, not the origin as in the paper, so that postures far from the
-    training data stay as measured.
+    By default the process models the difference of mocap and Kinect, so that postures
+    far from the training data stay as measured, not at the origin as in the paper.
     """
 
     skeleton: Skeleton = field(kw_only=False)
     centroids: int = 800  # Q, number of clusters of training postures
     smallest_reliability: float = 0.7
     """Minimum reliability of every joint of a training posture."""
-    predicts: Literal["offsets", "positions"] = "offsets"
-    """What the process models: ``offsets``, or mocap ``positions`` (eq. 5)."""
+    predicts: Literal["offsets", "positions"] = "offsets"  # or mocap's (eq. 5)
     lengths: Literal["learned", "own"] = "learned"
-    """Bone lengths after correction: ``learned`` are those that mocap has for people of
-    similar proportions, ``own`` the person's own as Kinect measures them (section
-    2.2)."""
+    """Bone lengths after correction: those that mocap has for people of similar
+    proportions, or the person's own as Kinect measures them (section 2.2)."""
     seed: int = 0  # seed for drawing the frames and initializing the clusters
 
     fitted = (

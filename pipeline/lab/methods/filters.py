@@ -27,13 +27,10 @@ _IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition
 
 
 def bridge_gaps(time: Array, positions: Array) -> Array:
-    """Return positions with gaps interpolated linearly in time.
+    """Return positions (T, J, 3) [m] with gaps, NaN, interpolated linearly in time [s].
 
     Before its first and after its last measurement a joint is held constant; a joint
     that was never seen stays NaN.
-
-    Time stamps [s] increase strictly, shape (T,); positions [m] are NaN where missing,
-    shape (T, J, 3).
     """
     columns = positions.reshape(len(positions), -1)
     bridged = interpolate_gaps(time, columns).reshape(positions.shape)
@@ -68,14 +65,13 @@ class WholeTake(Corrector):
 class Butterworth(WholeTake):
     """Low-pass filter over the frames, run forward and backward so that it has no lag.
 
-    Gaps are bridged first. If a take is shorter than the filter's padding, or its frame
-    rate is too low for the cutoff, nothing else happens.
+    Gaps are bridged first; takes shorter than the padding, or of too low a frame rate
+    for the cutoff, get nothing else.
     """
 
     _: KW_ONLY
     cutoff: float = 6.0
-    """Frequency [Hz] at which half of the amplitude is left: each of the two passes
-    leaves 1 / sqrt(2)."""
+    """Frequency [Hz] at which half of the amplitude is left after both passes."""
     order: int = 2  # order of one pass
 
     def _filtered(self, take: Observation) -> Array:
@@ -91,8 +87,8 @@ class Butterworth(WholeTake):
 class SavitzkyGolay(WholeTake):
     """Least-squares polynomials over a sliding window, without lag.
 
-    Gaps are bridged first. If a take is shorter than the window, or its frame rate is
-    so low that a polynomial fits the window's frames exactly, nothing else happens.
+    Gaps are bridged first; takes shorter than the window, or with too few frames in it
+    for the polynomial, get nothing else.
     """
 
     _: KW_ONLY
@@ -121,9 +117,8 @@ def measurement_variance(reliability: Array) -> Array:
 class ConstantVelocity:
     """Constant-velocity Kalman filters, one for each of J points.
 
-    The coordinates of a point are independent and share a covariance, so the state is
-    two vectors and the covariance is 2 x 2. Measured positions [m] have shape (J, 3),
-    the variance [m^2] of their coordinates (J,).
+    A point's coordinates are independent and share a 2 x 2 covariance. Measured
+    positions [m] have shape (J, 3), the variance [m^2] of their coordinates (J,).
     """
 
     def __init__(self, count: int) -> None:
@@ -156,10 +151,7 @@ class ConstantVelocity:
         self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, :1]
 
     def constrain(self, which: Flags, positions: Array) -> None:
-        """Move points to given positions, and their velocities by the correlation.
-
-        This is the most likely state with these positions; the covariance stays.
-        """
+        """Move points to positions, and velocities by their correlation."""
         variance = np.where(which, self.covariance[:, 0, 0], 1.0)
         follow = (self.covariance[:, 0, 1] / variance)[:, None]
         moved = np.where(which[:, None], positions - self.position, 0.0)
@@ -203,11 +195,9 @@ class ConstantLengthKalman(Corrector):
 
     After Tripathy, Chakravarty, Sinha, Chatterjee & Saha 2017, "Constrained Kalman
     filter for improving Kinect based measurements", ISCAS: every joint is tracked by
-    itself, then the estimates are moved to the nearest posture of constant lengths.
-
-    Nearest is measured by the filters' variances. A missing joint keeps its velocity
-    for up to half a second, then hangs on its last bone; one that was never seen hangs
-    as in the rest pose.
+    itself, then the estimates are moved to the nearest posture of constant lengths, by
+    the filters' variances. A missing joint keeps its velocity for up to half a second,
+    then hangs on its last bone; one that was never seen hangs as in the rest pose.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:

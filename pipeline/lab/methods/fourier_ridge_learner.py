@@ -52,8 +52,8 @@ class Person:
 def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
     """Yield all recorded people, each followed by their mirror image.
 
-    ``weight`` is the total weight of a person's frames: the variance of the noise in a
-    frame is the number of frames over this. At most ``most`` frames of each are used.
+    The variance of the noise in a frame is the number of a person's frames, of which at
+    most ``most`` are used, over their total ``weight``.
     """
     features = PostureFeatures(training.skeleton)
     clip = np.cumsum(training.first) - 1
@@ -118,8 +118,7 @@ def ridge_weights(
 ) -> Array:
     """Return the weights that all people share, with random effects marginalized.
 
-    The mean offset of all people has been subtracted. ``steps`` is advanced once per
-    person, for a progress bar.
+    The mean offset of all people has been subtracted; ``steps`` advances per person.
     """
     size = random.size + 1
     information = np.zeros((size, size), dtype=np.float32, order="F")
@@ -217,10 +216,9 @@ class FourierRidgeLearner(FourierRidge, Learner):
         """Train on pairs.
 
         ``training`` are people recorded with markers, ``simulated`` others in addition.
-        ``views`` are people recorded by a second sensor as well, of any skeleton; it
-        gives the ground truth of the limbs on the far side of their bodies and of their
-        heading. With ``people``, each person's own effects in ``training`` are learned,
-        too.
+        ``views`` are people recorded by a second sensor as well, of any skeleton, for
+        the limbs on the far side of their bodies and their heading. With ``people``,
+        each person's own effects in ``training`` are learned, too.
         """
         if training.skeleton != self.skeleton or training.person is None:
             raise InputError(

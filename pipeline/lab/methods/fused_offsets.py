@@ -40,8 +40,8 @@ def least_energy(
 ) -> Array:
     """Return the offsets of least energy (Liu eq. 22), in closed form.
 
-    The paper writes the spatial term as a log density (eq. 7) and minimizes it; here it
-    is the negative of that, times twice the prior variance: certainty * |y - mean|^2, a
+    The paper minimizes the spatial term as a log density (eq. 7); here it is the
+    negative of that, times twice the prior variance: certainty * |y - mean|^2, a
     squared distance like the other terms (eq. 20, 21). Every term is quadratic in y.
 
     Args:
@@ -50,9 +50,9 @@ def least_energy(
             training data nearby, so that the weights are then those of the paper.
         steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
         reliabilities: Reliability of the joints, in [0, 1], shape (M,).
-        spatial: Weight of the spatial term.
-        temporal: Weight of the temporal term, or weights of shape (M, 1).
-        reliability: Weight of the reliability term, likewise.
+        spatial: Weight of the spatial term; the others' may have shape (M, 1).
+        temporal: Weight of the temporal term.
+        reliability: Weight of the reliability term.
     """
     near = spatial * certainty
     flow = np.where(np.isnan(steady), 0.0, temporal)
@@ -71,18 +71,14 @@ class FusedOffsets(OffsetCorrector):
     reliability: float = 0.2
     """Weight of a zero offset, scaled by the joint's reliability (third term)."""
     likelihood: Likelihood = "relative"
-    """Units of the energy's terms. ``relative``: squared distances, the spatial one
-    scaled by the prior variance over the predicted variance. ``density``: each term is
-    a negative log density, with a variance measured on the training data."""
+    """Units of the energy's terms: squared distances, the spatial one ``relative`` to
+    its prior variance; or negative log densities, with measured variances."""
     carry: float = 1.0
-    """Share of the last velocity that the temporal term expects in the next frame; 1 is
-    constant velocity, as printed."""
-    spared: float = 0.0
-    """Share of the temporal weight that is removed from a fully reliable joint."""
+    """Share of the last velocity that the temporal term expects in the next frame."""
+    spared: float = 0.0  # share of the temporal weight less for a fully reliable joint
     inputs: Literal["measured", "held"] = "held"
-    """What offsets are predicted from and added to. ``measured``: the joints as
-    measured. ``held``: unreliable joints are held on their last bones, if there is a
-    reliability term."""
+    """What offsets are predicted from and added to: the joints as measured, or, if
+    there is a reliability term, with unreliable ones held on their last bones."""
     seen_: Flags = field(init=False)  # the joints that the sensor measures, shape (J,)
     movement_: Array = field(init=False)
     """Variance [m^2] of the temporal term's density: of a coordinate's second
@@ -167,11 +163,9 @@ class FusedOffsets(OffsetCorrector):
         self, mean: Array, variance: Array, prior: Array, posture: Array, seen: Array
     ) -> Array:
         """Return the offsets [m] of least energy around predictions, shape (M, 3)."""
-        scale: Any = prior[:, None]
-        moves: Any = 1.0
-        misplaced: Any = 1.0
+        scale, moves, misplaced = prior[:, None], np.ones(1), np.ones(1)
         if self.likelihood == "density":
-            scale = 1.0
+            scale = np.ones(1)
             moves, misplaced = self.movement_[:, None], self.misplaced_[:, None]
         kept = 1.0 - self.spared * self._trusted[self.joints_, None]
         temporal = self.temporal * kept**2  # squared, like the reliability in eq. 21

@@ -1,11 +1,10 @@
 """Offsets of the sensor's joints from the anatomical ones, constant in the body.
 
-A tracker's joints are not anatomical joint centers: most of a Kinect's error is that
-they lie some centimeters off, always on the same side of the limb. Each joint's offset
-is therefore a weighted sum of six vectors that turn with the body: along the segment
-that ends at the joint, along the one that starts there, perpendicular to both, and
-left, up and forward of the hips. With only six weights per joint, what is learned on
-simulated people carries over to real ones.
+Most of a Kinect's error is that its joints lie some centimeters off, always on the same
+side of the limb. Each joint's offset is therefore a weighted sum of six vectors that
+turn with the body: along the segment that ends at the joint, along the one that starts
+there, perpendicular to both, and left, up and forward of the hips. So few weights carry
+over from simulated people to real ones.
 """
 
 from dataclasses import dataclass

@@ -32,8 +32,7 @@ class Decomposition:
 def threshold_singular_values(matrix: Array, threshold: float) -> Array:
     """Return the matrix with its singular values lowered by a threshold, down to 0.
 
-    Operator M of eq. 6. It decomposes the N x N Gram matrix instead of the matrix
-    (M, N), which pays off for tall matrices.
+    Operator M of eq. 6, by the N x N Gram matrix of the tall matrix (M, N).
     """
     squares, right = np.linalg.eigh(matrix.T @ matrix)
     values = np.sqrt(np.maximum(squares, 0.0))
@@ -51,10 +50,8 @@ def decompose(
 
     Args:
         matrix: D, finite, shape (M, N), tall.
-        penalty: Penalty on each entry's error: lambda, or 0 where nothing was measured;
-            shape (M, N).
-        growth: rho, the factor by which mu grows; the common 1.5 stops short of the
-            minimum.
+        penalty: Of each entry's error: lambda, or 0 where nothing was measured, (M, N).
+        growth: rho, by which mu grows; the common 1.5 stops short of the minimum.
         iterations: Maximum number of iterations.
     """
     size = float(np.linalg.norm(matrix))
@@ -85,18 +82,14 @@ class LowRank(WholeTake):
     """Removes sparse errors from a take.
 
     Errors within gaps cost nothing, so the measured joints determine the positions
-    there. A joint that was never measured stays NaN.
-
-    Attributes:
-        iterations_: Number of iterations for the last take.
-        converged_: True if they were enough.
+    there. A joint that was never measured stays NaN. ``iterations_`` and ``converged_``
+    tell how many the last take needed, and whether they were enough.
     """
 
     _: KW_ONLY
     sparsity: float = 2.0
-    """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is for
-    matrices of low rank; the motion of 20 joints is not quite low-rank, and 1 removes
-    some of it along with the errors."""
+    """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 removes some
+    of the motion, which is not quite low-rank."""
     growth: float = 1.05  # rho, as in ``decompose``; 1 or more
     iterations: int = 1000  # maximum number of iterations
 

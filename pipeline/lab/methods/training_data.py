@@ -155,9 +155,8 @@ def add_offsets(
 ) -> Correction:
     """Return a posture moved by offsets; missing joints move with their parents.
 
-    The posture [m], shape (J, 3), has missing joints filled; ``missing`` (J,) is True
-    for them. Offsets [m], shape (M, 3), are those of the ``learned`` joints (M,).
-    Coverage is that of the posture by the training data, in [0, 1].
+    ``posture`` (J, 3) [m] has ``missing`` joints (J,) filled; ``offsets`` (M, 3) [m]
+    are those of the ``learned`` joints (M,).
     """
     corrected = posture.copy()
     corrected[learned] += np.where(missing[learned, None], 0.0, offsets)

@@ -62,8 +62,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         """Return the term for jumps away from both previous frames (eq. 8-10).
 
         Eq. 10 prints (1 - 4 (d2 - T)) / T, which exceeds 1; here it is 1 - 4 (d2 - T) /
-        T, at least 0. Where a position is missing, and in the first two frames, there
-        is no displacement and the term is 1.
+        T, at least 0; 1 where a position is missing, and in the first two frames.
         """
         term = np.ones(len(positions))
         if len(self._past) == 2:

@@ -87,11 +87,9 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     """Scores frame by frame; a whole take gets the same scores.
 
     Reliability is the probability that a joint is less than 10 cm off, its constant
-    offset included, so it stays low for as long as a posture lasts that the sensor
-    misjudges. It is 0 for a missing joint. The deciding term is the one whose clues
+    offset included; 0 for a missing joint. The deciding term is the one whose clues
     raise the odds of an error most; Term.BEHAVIOR stands for noise and speed. The
     geometry is the reliability that the joint would have if it were always tracked.
-    By default, the weights of the clues are those of the embedded file.
     """
 
     def __init__(
@@ -142,8 +140,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         """Return the clues for each joint of the next frame, shape (J, C).
 
         These are the logarithms of noise, speed and length errors, the share of frames
-        not tracked, then the posture around the joint and its products. For the
-        arguments see ``step``.
+        not tracked, then the posture around the joint and its products.
         """
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)

@@ -1,9 +1,8 @@
 """Reliability from noise and segment lengths.
 
 Where a Kinect has to guess a joint, the guess changes from frame to frame, and segments
-change their lengths. People do not move like that: over five frames, a joint's path is
-close to a cubic, however fast it is. What remains after subtracting the cubic is the
-sensor's noise. Noise and length errors together give an estimate of a joint's error.
+change their lengths. A person's joint is close to a cubic over five frames, however
+fast it is; the rest is noise. Noise and length errors give an estimate of the error.
 """
 
 import numpy as np
@@ -40,10 +39,8 @@ class NoiseReliabilityScorer(ReliabilityScorer):
     Noise is relative to the root, and the root's own to the room. Reliability is a
     Gaussian of the error that noise and length errors suggest. It is 0 while a joint is
     inferred or not tracked, and recovers gradually. The deciding term is the one that
-    lowers the reliability most; Term.BEHAVIOR stands for noise.
-
-    For a tracked joint the geometry ignores noise, since a noisy measurement is still
-    closer to the truth than a reconstructed position.
+    lowers the reliability most; Term.BEHAVIOR stands for noise. The geometry of a
+    tracked joint ignores noise: it is still closer to the truth than a reconstruction.
     """
 
     def __init__(self, skeleton: Skeleton, reference: Reference) -> None:

@@ -101,23 +101,23 @@ def judge(
 ) -> list[Verdict]:
     """Compare the claims of some studies with the tables that they wrote to a folder.
 
-    Without ``recordings``, claims that require them are not judged. With ``quick``,
-    none are, because the studies ran on a small part of everything.
+    Claims that need recordings are judged with ``recordings`` only; ``quick`` studies
+    of a small part of everything decide none.
     """
-    claims = [claim for claim in read_claims() if claim.study in studies]
     tables = {name: _cells(folder / f"{name}.csv") for name in studies}
     verdicts = []
-    for claim in claims:
+    for claim in read_claims():
+        if claim.study not in studies:
+            continue
         cell = tables[claim.study].get((claim.row, claim.column), "")
         measured = float(cell) if cell else None
         if claim.recordings and not recordings:
-            verdict = Verdict(claim, None, None, "not measured: no recordings")
+            verdicts.append(Verdict(claim, None, None, "not measured: no recordings"))
         elif quick:  # rows may be missing, too
-            verdict = Verdict(claim, measured, None, "not judged: --quick")
+            verdicts.append(Verdict(claim, measured, None, "not judged: --quick"))
         else:
             held = measured is not None and claim.holds(measured)
-            verdict = Verdict(claim, measured, held)
-        verdicts.append(verdict)
+            verdicts.append(Verdict(claim, measured, held))
     return verdicts
 
 

@@ -30,7 +30,7 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
     """Clean every recorded take, and a simulated take of every motion, with defaults.
 
     Figures are those of ``clean --json`` after physics: mean over takes, and worst
-    take. Shares are relative to the same take before cleaning. At most ``count``
+    take; shares are relative to the same take before cleaning. At most ``count``
     recorded and ``count`` simulated takes are cleaned.
     """
     files, motions = recorded_takes(options.data)[:count], MOTIONS[:count]

@@ -60,10 +60,9 @@ def hidden_limb_errors(
     Means are over frames, joints and clips, then over people. Each person is tested
     with a limb of every twentieth clip hidden, by systems trained on the others, with
     nothing hidden. ``known people`` are in the training data with repetitions 1 to 7
-    and are tested on 8 to 10. Errors are those of the hidden joints in the frames in
-    which they are hidden; with ``all joints``, of all limb joints in those frames; for
-    ``seen``, of all limb joints in the whole clip. ``none`` is ``clean --method none``
-    without physics; it looks ahead and bridges gaps from both ends.
+    and are tested on 8 to 10. Errors are those of the hidden joints while they are
+    hidden; with ``all joints``, of all limb joints then; for ``seen``, of all limb
+    joints in the whole clip. ``none`` is ``clean --method none`` without physics.
 
     ``methods`` and ``presets`` are as for ``systems_of``. With ``whole``, complete
     clips from ``clean`` are measured instead of the corrected joints; ``guesses`` is a

@@ -50,8 +50,7 @@ _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
     """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
 
-    Older files are replaced when both new ones are complete. Raises an InputError if
-    the folder cannot be created, or if matplotlib is not installed.
+    Raises an InputError if the folder cannot be created, or without matplotlib.
     """
     make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"

@@ -35,9 +35,8 @@ _REPEATS = 3  # the fastest counts
 def speed(options: Options, *, rounds: int = 3) -> Study:
     """Time every stage on the sample take, frame by frame on one core.
 
-    Figures are medians of ``kinefilter bench`` over ``rounds``. Ratios are formed
-    within a round, because a machine's speed varies from minute to minute. The take is
-    always the same, so the seed has no effect.
+    Figures are medians of ``kinefilter bench`` over ``rounds``; ratios are formed
+    within a round, because a machine's speed varies. The seed has no effect.
     """
     runs = [_figures() for _ in options.progress("time", rounds)]
     medians = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
@@ -69,10 +68,9 @@ def million_postures(
 ) -> Study:
     """Find the nearest postures of frames of simulated Kinect takes.
 
-    The postures are those of scripted performances by ``people``, stored on disk as
-    when a database is built; the takes are of other people. ``values`` of the sizes are
-    searched, from the smallest. Every tenth answer is compared with the distances of
-    all postures in double precision.
+    The postures are those of scripted performances by ``people``; the takes are of
+    others. ``values`` of the sizes are searched, from the smallest. Every tenth answer
+    is compared with the distances of all postures in double precision.
     """
     queries = _queries(_FIRST + options.seed)
     postures = _postures(people, options.progress)

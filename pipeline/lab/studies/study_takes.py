@@ -1,8 +1,7 @@
 """The takes of the studies: recordings where there are any, and simulated people.
 
-Simulated people in tests do not occur in any training data: the built-in database draws
-its people from seeds below 10, test takes use seeds from 1000 up, and the training data
-of a study seeds that are 500 higher than those of its test takes.
+Simulated people in tests are in no training data: the built-in database draws people
+from seeds below 10, test takes from 1000 up, and training data from 500 higher.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -71,8 +70,7 @@ def first_person(seed: int, *, learners: bool = False) -> int:
 def study_takes(kind: str, options: Options, *, count: int = 12) -> list[PairedTake]:
     """Return takes of a class with their ground truth, each of a different person.
 
-    The truth has the person's own proportions. Fewer than 12 takes are spread evenly
-    over the class.
+    The truth has the person's own proportions. Fewer than 12 are spread over the class.
     """
     settings = CLASSES[kind]
     first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
@@ -106,10 +104,7 @@ def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
 
 
 def recordings_folder(data: Path | None) -> Path | None:
-    """Return the given folder, or the default one; None if that does not exist.
-
-    Raises an InputError if the given folder does not exist.
-    """
+    """Return the given folder, or InputError; without, the default one if it exists."""
     if data is None:
         return RECORDINGS if RECORDINGS.is_dir() else None
     if not data.is_dir():

@@ -44,12 +44,9 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
     The virtual Kinect's two trackers record the mocap of three people, ``clips`` of
     each, beside a real Kinect v2. Neither the people nor their movements were in the
     training data of the tracker of depth images; the size of the model's errors was
-    adjusted by hand to these three people. Errors are relative to the middle of the
-    hips: the constant offset over a clip; the moving rest (root mean square, and the
-    time after which its autocorrelation is below 1/e); how often that rest is over 7
-    cm; its correlation with the real Kinect's in the same frames; and the share of
-    joints that are inferred, which the recordings do not have. Without recordings,
-    simulated people perform scripted motions.
+    adjusted by hand to these people. The figures are those of ``error_figures`` and the
+    share of joints that are inferred, which the recordings do not have. Without
+    recordings, simulated people perform scripted motions.
     """
     pairs = _acts(options, clips)
     recorded = {_RECORDED: pairs} if options.data is not None else {}
@@ -150,12 +147,12 @@ def tracker_lessons(
 ) -> Study:
     """Train the method learned on simulated takes, and test it on recorded people.
 
-    Each simulated person performs another motion of the library on a bare floor. Both
-    trackers record the same performances; ``perfect`` records the truth, and with
-    ``offsets off`` each joint's constant offset over a take is removed from the
-    training data. Three people whom the error model was not fitted to are tested,
-    ``clips`` of each, through ``clean`` without physics. The last rows also train on
-    the three other people. Without recordings, simulated people stand in.
+    Each simulated person performs another motion on a bare floor. Both trackers record
+    the same performances; ``perfect`` records the truth, and with ``offsets off`` each
+    joint's constant offset over a take is removed from the training data. Three people
+    whom the error model was not fitted to are tested, ``clips`` of each, through
+    ``clean`` without physics. The last rows also train on the three other people.
+    Without recordings, simulated people stand in.
     """
     known, test = _people(options, clips)
     skeleton = test[0].take.skeleton

@@ -22,10 +22,7 @@ A guess, because the paper does not give one."""
 
 
 def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
-    """Time the recovery of takes of the paper's lengths, in seconds of one core.
-
-    People dance one after the other in front of a virtual Kinect v2.
-    """
+    """Time the recovery of dances of the paper's lengths, in seconds of one core."""
     lengths = [*_WANG_1][:sizes]
     (system,) = systems_of((), ["wang-low-rank"])
     dances = _dances(options, max(lengths))
@@ -59,8 +56,8 @@ def wang_figure_1(options: Options, *, frames: int = 1423) -> Study:
 
     People dance in front of a virtual Kinect v2, for as many frames as in the paper;
     for comparison, as many frames of the first recorded person's clips. Both are taken
-    as recorded, and as the preset processes them: in the heading frame. The rank is the
-    number of values of at least 1 % of the largest.
+    as recorded, and in the heading frame, as the preset does. The rank is the number of
+    values of at least 1 % of the largest.
     """
     config = systems_of((), ["wang-low-rank"])[0].config
     takes = {"dance": _dances(options, frames)}
