@@ -34,9 +34,8 @@ def load_scene(
     If a body is given, the character of ``build_humanoid`` is at the origin in T-pose,
     and so are those of ``build_humanoids`` if several are. They keep all their names,
     actuators, options and the settings of their floor, which takes on the look of the
-    scene's. They come first in the model, so the first seven coordinates are those of
-    the first one's root. Raises an InputError if there is no such scene,
-    MuJoCo cannot load it, or a name in it is also one of the character's.
+    scene's, and come first in the model. Raises an InputError if there is no such
+    scene, MuJoCo cannot load it, or a name in it is also one of the character's.
     """
     path = _path(scene)
     try:
@@ -59,7 +58,7 @@ def scene_xml(scene: str | Path, body: Body | None = None) -> str:
     """Return a scene as self-contained MJCF that MuJoCo can load from anywhere.
 
     Only the meshes and textures of users' scenes stay in their files, with absolute
-    paths. Arguments and errors are those of ``load_scene``.
+    paths. For arguments and errors see ``load_scene``.
     """
     spec = load_scene(scene, body)
     spec.compiler.savecompiled = False  # keeps all numbers as they were written

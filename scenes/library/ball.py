@@ -1,10 +1,9 @@
 """Path of a ball that a performer holds, dribbles and throws.
 
 Flight heights are those of the ball's lowest point above the floor; speeds are upward.
-Air resistance and spin are neglected: at 5 m/s the drag on a basketball is less than a
-tenth of its weight. The hands were not moved for the ball, so the ball leaves the hand
-in a stroke and returns to it in those frames in which a ballistic flight fits the
-motion of the hands best.
+Air resistance and spin are neglected. The hands were not moved for the ball, so it
+leaves the hand in a stroke and returns to it in those frames in which a ballistic
+flight fits the motion of the hands best.
 """
 
 from enum import Enum
@@ -34,8 +33,7 @@ _FASTEST_PUSH = 12.0  # m/s, faster than a dribbler's hand
 def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
     """Return the height [m] of a bouncing ball some time [s] after its start.
 
-    It starts at a height [m], not negative, with an upward speed [m/s]. Arguments
-    broadcast.
+    It starts at a height [m], not negative, with an upward speed [m/s], all broadcast.
     """
     h, v, t = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (height, speed, duration))
@@ -55,8 +53,7 @@ def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
 def rolled(height: float, speed: float, duration: ArrayLike) -> Array:
     """Return the horizontal distance per unit of launch speed [s].
 
-    In the air it is the time itself; after the first bounce the ball slows down as if
-    it rolled.
+    After the first bounce the ball slows down as if it rolled.
     """
     time = np.asarray(duration, dtype=float)
     fall = (speed + np.sqrt(speed**2 + 2.0 * GRAVITY * height)) / GRAVITY
@@ -75,12 +72,10 @@ def launch_speed(
 ) -> Array:
     """Return the upward speed [m/s] that takes a ball from one height to another.
 
-    Of all such speeds, with any number of bounces, this is the one closest to the wish.
-    A throw without a bounce is always possible.
-
-    Heights at the start and the end [m], the time between them [s], positive, and the
-    ``wish``, the upward speed of the hand at the release [m/s], broadcast. ``bouncing``
-    requires at least one bounce; the speed is NaN where that is impossible.
+    Of all such speeds, with any number of bounces, this is the one closest to the
+    ``wish``, that of the hand at the release [m/s]. Heights [m], the time between them
+    [s], positive, and the wish broadcast. A throw is always possible; ``bouncing``
+    requires at least one bounce, and the speed is NaN where that is impossible.
     """
     start, end, duration, wish = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (start, end, duration, wish))
@@ -275,11 +270,8 @@ _BLEND = 0.08  # s: standard deviation of the change from one hand to both: a gu
 def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
     """Return the path of the ball's center [m], shape (T, 3).
 
-    A ball that no hand touches stays in place. A ball that is released and not caught
-    bounces until it comes to rest.
-
-    ``radius`` [m] is that of the ball, ``rest`` its center where it is untouched [m],
-    shape (3,).
+    A ball that no hand touches stays in place, with its center at ``rest`` [m], (3,). A
+    ball that is released and not caught bounces until it comes to rest.
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     touches = contacts(hands, radius)

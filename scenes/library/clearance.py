@@ -1,8 +1,7 @@
 """Clearance of scripted hands and forearms: head, trunk, legs, floor, the other arm.
 
-A script defines where a hand goes, regardless of obstacles. Where a forearm or hand
-would penetrate another part by more than soft tissue allows, the hand is moved out the
-shortest way, and the arm follows.
+Where a forearm or hand would penetrate another part by more than soft tissue allows,
+the hand is moved out the shortest way, and the arm follows.
 """
 
 from dataclasses import replace
@@ -77,10 +76,7 @@ def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
 
 
 def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
-    """Return the parts an arm must clear, and its share of the displacement.
-
-    A part is given by the joint at its end. Two arms each move by half.
-    """
+    """Return the end joints of parts an arm must clear, and its share of the way."""
     trunk = skeleton.ancestors(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
     other = [skeleton.index(part + SIDES[1 - side]) for part in ("Elbow", *_FOREARM)]

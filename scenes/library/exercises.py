@@ -5,9 +5,8 @@ deep squat, hurdle step, inline lunge, side lunge, sit to stand, straight leg ra
 the shoulder's abduction, extension, rotation and scaption. In wrong repetitions people
 lean, twist, shift, stop short, let the knees go inward or the arms sink.
 
-The four exercises for lymph flow of Chiang et al. 2017 (IEEE EMBC), parts of The
-Optimal Lymph Flow program; the arm movements follow their names and the paper's
-figure 6.
+The four exercises for lymph flow of Chiang et al. 2017 (IEEE EMBC) follow their names
+and the paper's figure 6.
 """
 
 from collections.abc import Iterator

@@ -84,10 +84,7 @@ class Hands:
 
     @cached_property
     def turn(self) -> Array:
-        """Rotation, wxyz, of an object that both hands hold level, shape (T, 4).
-
-        Its y axis points from the right hand to the left.
-        """
+        """Rotation, wxyz, of an object held level, y to the left hand, shape (T, 4)."""
         y = unit(self._line)
         x = unit(np.cross(y, np.array([0.0, 0.0, 1.0])))
         return wxyz_from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
@@ -98,8 +95,5 @@ class Hands:
 
 
 def fading(time: Array) -> Array:
-    """Return a weight that falls smoothly from 1 at 0 s to 0 at 0.3 s.
-
-    0.3 s is a guess: quick enough for a grasp, slow enough not to be noticed.
-    """
+    """Return a weight that falls smoothly from 1 at 0 s to 0 at 0.3 s, a guess."""
     return 1.0 - smooth_step(time / 0.3)

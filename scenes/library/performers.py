@@ -1,8 +1,8 @@
 """Scripted performers: seeded human motions on any body, with known rotations.
 
 Each motion is a family: the seed determines amplitude, tempo, sides, stance and style,
-and the repetitions within a performance differ. The motions are designed, not recorded:
-ranges of motion are those of healthy adults, and the timing is plausible.
+and the repetitions within a performance differ. The motions are designed, not recorded;
+ranges of motion are those of healthy adults.
 """
 
 from collections.abc import Sequence
@@ -82,10 +82,7 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
 def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
-    """Draw the stature, build and mass of a person and return the body.
-
-    The body is symmetric. The same draws give the same person on every skeleton.
-    """
+    """Draw the stature, build and mass of a symmetric body, alike on every skeleton."""
     check_kind(rng, np.random.Generator, "rng")
     mean, deviation = _STATURES[int(rng.integers(2))]
     height = float(np.clip(rng.normal(mean, deviation), _SHORTEST, _TALLEST))
@@ -105,13 +102,11 @@ def perform(
     """Return one performance of a motion; it lasts at least 5 s.
 
     The last movement is always complete. The character starts near the origin of the
-    world, facing +z, or with ``within`` at the start of its loop.
-
-    ``name`` is one of MOTIONS, or of TASKS, which fit one scene; InputError for others.
-    The seed determines style, tempo and sides; the same seed gives the same arrays.
-    ``within`` is the area in which the root stays in gaits (carry, march, run, walk),
-    which then go around it with shorter steps; by default they go straight ahead. Other
-    motions ignore it.
+    world, facing +z, or with ``within`` at the start of its loop. ``name`` is one of
+    MOTIONS, or of TASKS, which fit one scene; InputError for others. The seed
+    determines style, tempo and sides. ``within`` is the area in which the root stays in
+    gaits, which then go around it with shorter steps; by default they go straight
+    ahead.
     """
     check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
@@ -153,9 +148,9 @@ def perform_medley(
 ) -> Motion:
     """Return several motions on the spot, one after another, at 30 frames per second.
 
-    ``parts`` are their names and the minimum duration of each [s]; see ``perform`` for
-    the body and the seed. Unlike there, arms may pass through the body. Raises an
-    InputError if a motion does not stay on the spot, or without parts.
+    ``parts`` are their names and the minimum duration of each [s]. Unlike in
+    ``perform``, arms may pass through the body. Raises an InputError if a motion does
+    not stay on the spot, or without parts.
     """
     if not parts:
         raise InputError("a medley needs at least one motion")

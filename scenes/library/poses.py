@@ -1,8 +1,7 @@
 """Poses of a performer, and sequences of poses in time.
 
-Joint ranges are the active ranges of healthy adults after the American Academy of
-Orthopaedic Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed.,
-appendix B.
+Joint ranges are the active ranges of healthy adults (American Academy of Orthopaedic
+Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed., appendix B).
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ Rng = np.random.Generator
 Angles = float | tuple[float, float, float]
 LEFT, RIGHT, BOTH = 0, 1, slice(None)  # sides of a pose
 
-_SMOOTHING = 0.05
-"""Standard deviation [s] of the blur that rounds the motion at the key poses."""
+_SMOOTHING = 0.05  # s, standard deviation of the blur of the motion at the key poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +59,7 @@ class Pose:
     ) -> Pose:
         """Return the pose with the root moved [m] and trunk angles [rad] added.
 
-        A single number is a forward tilt of the pelvis or a flexion of spine or head.
+        A single number is a forward tilt or flexion.
         """
         tilt = pelvis if isinstance(pelvis, tuple) else (0.0, pelvis, 0.0)
         bend, nod = (
@@ -169,10 +167,7 @@ JOINT_RANGES: dict[str, tuple[float, float]] = {
 
 
 def within_ranges(pose: Pose) -> Pose:
-    """Return the pose with trunk and neck angles clipped to their ranges.
-
-    Elbows and knees cannot leave theirs; shoulders and hips stay as scripted.
-    """
+    """Return the pose with trunk and neck angles clipped to their ranges."""
     angles = ("flexion", "bend", "rotation")
     trunk, neck = (
         np.radians([JOINT_RANGES[f"{part} {angle}"] for angle in angles])

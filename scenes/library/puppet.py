@@ -1,11 +1,10 @@
 """A body that is posed by anatomical angles and planted feet.
 
-A pose is given the way an anatomist or a choreographer would: tilt of the pelvis and
-spine, direction of the upper arms, flexion of the elbows, and places of the feet. The
-legs follow by two-bone inverse kinematics, so that planted soles stay in place whatever
-the trunk does. Shoulder angles follow the International Society of Biomechanics (Wu et
-al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90 degrees forward),
-elevation, axial rotation (positive inward).
+A pose is tilt of the pelvis and spine, direction of the upper arms, flexion of the
+elbows, and places of the feet. The legs follow by two-bone inverse kinematics, so that
+planted soles stay in place. Shoulder angles follow the International Society of
+Biomechanics (Wu et al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90
+degrees forward), elevation, axial rotation (positive inward).
 """
 
 from dataclasses import replace
@@ -206,9 +205,8 @@ class Puppet:
     def solve(self, pose: Pose) -> tuple[Array, Array]:
         """Return world rotations wxyz (..., J, 4) and joint positions [m] (..., J, 3).
 
-        Rotations follow the convention of Clip: those of the segment ending at each
-        joint, identity in the T-pose, the pelvis in the root's row. Elbows and knees
-        are hinges: upper and lower segment share the axis.
+        Rotations are those of Clip. Elbows and knees are hinges: upper and lower
+        segment share the axis.
         """
         trunk = self.trunk(pose)
         turns = {"pelvis": trunk.pelvis, "lower": trunk.lower, "thorax": trunk.thorax}
@@ -274,8 +272,8 @@ def _upper_bone(
 ) -> Array:
     """Return the direction of a limb's upper bone, (..., 3).
 
-    The limb's ends are ``distance`` apart along the unit vector ``line``; its joint
-    points in the direction ``toward``, a unit vector across the line.
+    Its ends are ``distance`` apart along ``line``, and its joint points in the
+    direction ``toward`` across the line, both unit vectors.
     """
     cosine = (upper**2 + distance**2 - lower**2) / (2.0 * upper * distance)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
@@ -300,8 +298,8 @@ def _collarbone_angles(along: Array) -> tuple[Array, Array]:
     """Return elevation and protraction [rad] of the left collarbone, (...) each.
 
     It follows the unit vector along the left upper arm, thorax frame, (..., 3), after
-    the shoulder rhythm of Inman et al. 1944 (J. Bone Joint Surg. 26); the amounts are a
-    guess that looks right.
+    the shoulder rhythm of Inman et al. 1944 (J. Bone Joint Surg. 26), by guessed
+    amounts.
     """
     elevation = np.arccos(np.minimum(np.maximum(-along[..., 1], -1.0), 1.0)) / np.pi
     lift = np.radians(-7.0 + 32.0 * elevation**1.5)

@@ -33,9 +33,9 @@ def depth_differences(
     """Return depth differences [m] around pixels (Shotton et al., eq. 1), (N,).
 
     For a pixel x of depth d(x), the difference is that between the pixels at
-    x + u / d(x) and x + v / d(x). The division makes a feature refer to the same place
-    on the body at any distance. ``offsets`` (N, 2, 2) are u and v of each pixel
-    [m across the view], each as row and column.
+    x + u / d(x) and x + v / d(x), the same places on the body at any distance.
+    ``offsets`` (N, 2, 2) are u and v of each pixel [m across the view], each as row and
+    column.
     """
     depth = np.pad(image.depth.astype(np.float32), 1, constant_values=BACKGROUND)
     scale = np.float32(image.focal) / depth[rows + 1, columns + 1]
@@ -110,8 +110,7 @@ def shipped_forest() -> BodyPartForest:
 def parts_of_joints(skeleton: Skeleton) -> Flags:
     """Return which body parts belong to each joint of a skeleton, (P, J).
 
-    The parts of the neck, thumbs and hand tips belong to their neighbors in Kinect v1,
-    which lacks these joints.
+    Those of joints that Kinect v1 lacks belong to its joints beside them.
     """
     joints = skeleton.joints
     belongs = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)

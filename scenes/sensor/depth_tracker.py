@@ -51,9 +51,9 @@ def propose(
     """Locate the skin around each joint by mean shift (Shotton et al., eq. 7).
 
     Every second pixel counts, weighted by its probability and by the area of skin that
-    it shows. Each joint's pixels are represented by a sample of points drawn with that
-    weight. Of several modes, the one with the most skin wins; those near ``before``,
-    the skin in the previous image [m], (J, 3), may have less.
+    it shows; a sample of points drawn with that weight represents each joint's. Of
+    several modes, the one with the most skin wins; those near ``before``, the skin in
+    the previous image [m], (J, 3), may have less.
     """
     rows, columns = np.nonzero(image.segments >= 0)
     kept = (rows + columns) % 2 == 0
@@ -99,8 +99,7 @@ def track_in_depth(
     """Find joints in depth images of a motion.
 
     Returns their positions (T, J, 3) [m] in the sensor frame, NaN if not tracked, and
-    their states (T, J). ``rng`` draws the noise of the images; ``scene`` and
-    ``prop_poses`` are as in ``observe`` and raise the same errors.
+    their states (T, J). Scene, poses and errors are those of ``observe``.
     """
     forest, skeleton = shipped_forest(), motion.skeleton
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
@@ -136,9 +135,8 @@ def hold_inferred(
     """Return joint positions [m] in which inferred joints stay with their parents.
 
     A joint too far from its parent, compared with the segment's usual length in the
-    take, is taken for another joint and becomes inferred. Joints out of view become
-    not tracked, and NaN. Positions (T, J, 3) are in the sensor frame; the states (T, J)
-    are changed in place.
+    take, becomes inferred. Joints out of view become not tracked, and NaN. Positions
+    (T, J, 3) are in the sensor frame; the states (T, J) are changed in place.
     """
     held = positions.copy()
     parents = np.maximum(skeleton.parents, 0)

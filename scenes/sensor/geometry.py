@@ -92,10 +92,8 @@ SENSORS = {
 }
 """Kinect models, with geometry from their data sheets.
 
-The depth noise of v1 is that of triangulation, 1.43 mm times the squared depth in
-meters (Khoshelham & Elberink 2012, Sensors 12(2)). That of azure (narrow field of
-view) is a guess, 1 to 2 mm within its range. The sensor does not determine the
-skeleton of a take: that is the motion's.
+The depth noise of v1 is that of triangulation (Khoshelham & Elberink 2012, Sensors
+12(2)); that of azure is a guess, 1 to 2 mm within its range.
 """
 
 

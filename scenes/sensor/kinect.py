@@ -1,10 +1,9 @@
 """The virtual Kinect, which records simulated takes of a motion.
 
-It has two trackers. ``model`` adds errors fitted to recordings to the ground truth: ray
-casting determines how much of each joint the sensor sees (``visibility``), and from
-that follow the errors of position (``tracker_errors``) and the tracking states
-(``tracker_states``). ``depth`` finds joints in rendered depth images
-(``depth_tracker``), so its errors arise as those of a real tracker do.
+Its tracker ``model`` adds errors fitted to recordings to the ground truth: ray casting
+determines how much of each joint the sensor sees (``visibility``), and from that follow
+the errors of position (``tracker_errors``) and the states (``tracker_states``).
+``depth`` finds joints in rendered depth images (``depth_tracker``).
 """
 
 from __future__ import annotations
@@ -27,8 +26,6 @@ from .tracker_states import swapped_joints, tracking_states, with_guesses
 from .visibility import look
 
 Tracker = Literal["model", "depth"]
-"""Joint finder: ``model`` adds modeled errors to the ground truth, ``depth`` searches
-depth images."""
 
 
 def observe(
@@ -50,13 +47,12 @@ def observe(
         motion: The motion in front of the sensor.
         seed: Seed of all errors; the same seed gives the same take.
         sensor: The sensor; by default a Kinect v2, 1 m high and 2.7 m away.
-        errors: Sizes of the tracker's errors, by default as in recordings. Only for
-            the tracker ``model``.
+        errors: Sizes of the errors of ``model``, by default as in recordings.
         scene: The room and its props, z up as in MuJoCo; by default a bare floor.
         prop_poses: For each moving body of the scene, its position [m] and orientation
             (wxyz) in every frame, in MuJoCo's world, shape (T, 7).
-        person: Seed of the errors that all takes of a person share; by default
-            ``seed``. Only for the tracker ``model``; ``depth`` has no such errors.
+        person: Seed of the errors of ``model`` that all takes of a person share; by
+            default ``seed``.
         tracker: How joints are found.
 
     Raises:
@@ -98,8 +94,7 @@ def observe(
 def sample_take() -> Take:
     """Simulate the shipped sample ``takes/wave_punch_bend.csv``.
 
-    A person turned halfway to the side waves, punches and bends in front of a Kinect
-    v1; the hand leaves the view while waving.
+    A person turned halfway aside waves, also out of view, punches and bends.
     """
     parts = [("wave", 0.5), ("punch", 2.0), ("bend", 0.5)]
     motion = perform_medley(parts, standard_body(KINECT_V1), seed=17)

@@ -1,7 +1,6 @@
 """A body in a scene, posed frame by frame, and rays cast into it from a sensor.
 
-Each segment is a MuJoCo mocap body with the segment's capsules, placed where the motion
-has it. MuJoCo casts the rays.
+Each segment is a MuJoCo mocap body with the segment's capsules.
 """
 
 from __future__ import annotations
@@ -24,15 +23,9 @@ _PREFIX = "seen:"  # keeps the names of segments apart from those of the scene
 
 
 class PosedBody:
-    """A body in a scene, which rays can be cast into.
+    """A body in a scene, z up as in MuJoCo, by default a bare floor, with moving props.
 
-    Args:
-        body: The body whose segments are placed.
-        scene: The room and its props, z up as in MuJoCo; by default a bare floor.
-        moving: Names of the props that move.
-
-    Raises:
-        InputError: A moving prop is not a direct child of the scene's worldbody.
+    Raises an InputError if a moving prop is not a direct child of the worldbody.
     """
 
     def __init__(

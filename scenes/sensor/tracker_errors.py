@@ -5,12 +5,11 @@ hidden or foreshortened, postures the tracker was not trained on, its wobble, mo
 during the exposure, noise of the depth image, props taken for limbs, and people seen
 from the side.
 
-A tracker's joints are not the anatomical joint centers. Their offset from these turns
-with the segments that meet at the joint, so each constant offset has two parts, one
-fixed to the segment that ends at the joint and one to the segment that starts there.
-The numbers were fitted by ``tests/calibrate_kinect.py`` to a Kinect v2 beside marker
-mocap (UI-PRMD, Vakanski et al. 2018, Data 3(1)), people s02, s03 and s04, with left and
-right pooled.
+A tracker's joints are not anatomical joint centers: each constant offset has one part
+that turns with the segment that ends at the joint and one with the segment that starts
+there. The numbers were fitted by ``tests/calibrate_kinect.py`` to a Kinect v2 beside
+marker mocap (UI-PRMD, Vakanski et al. 2018, Data 3(1)), people s02, s03 and s04, with
+left and right pooled.
 """
 
 from __future__ import annotations
@@ -71,9 +70,8 @@ class TrackerErrors:
     """Sizes of the modeled tracker's errors.
 
     With all values zero except ``mirrored_beyond``, which is then pi, the tracker
-    reports the ground truth. The defaults were set by hand so that the figures of
-    ``tests/calibrate_kinect.py`` come close to those of recordings, unless called a
-    guess.
+    reports the ground truth. The defaults were set by hand toward the figures of
+    ``tests/calibrate_kinect.py`` for recordings, unless called a guess.
     """
 
     bias: float = 1.0
@@ -149,8 +147,8 @@ def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
 def joint_offsets(skeleton: Skeleton) -> Array:
     """Return the tracker's constant offsets [m] in segment frames, shape (2, J, 3).
 
-    The first part turns with the segment that ends at the joint, the second with the
-    segment that starts there. The axes are those of the rest pose, facing +z.
+    They turn with the segment that ends at the joint, and with the one that starts
+    there. The axes are those of the rest pose, facing +z.
     """
     table = np.array([row[:2] for row in _table(skeleton)])
     table[[j.endswith("Right") for j in skeleton.joints], :, 0] *= -1.0
@@ -163,10 +161,7 @@ def error_scales(skeleton: Skeleton) -> Array:
 
 
 def error_mixing(skeleton: Skeleton) -> Array:
-    """Return the matrix (J, J) that correlates independent errors with their parents'.
-
-    It preserves unit variance.
-    """
+    """Return the matrix (J, J) that correlates unit errors with their parents'."""
     mixing, table = np.eye(len(skeleton)), _table(skeleton)
     for j in skeleton.segments:
         correlation = table[j][3]
@@ -254,10 +249,10 @@ def _turned_toward(
 def _posture_error(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
     """A smooth random function of the posture, unit variance, (T, J, 3).
 
-    It is drawn from a Gaussian process with a Gaussian kernel, as a sum of random
-    cosines of segment directions (Rahimi & Recht 2007). In the joints of a limb it
-    depends on trunk and limb, in all others on the trunk. Directions are in the world
-    frame, as a turned person is another posture to the sensor.
+    It is drawn from a Gaussian process as a sum of random cosines of segment directions
+    (Rahimi & Recht 2007) in the world frame, because a turned person is another posture
+    to the sensor. In the joints of a limb it depends on trunk and limb, in all others
+    on the trunk.
     """
     skeleton = motion.skeleton
     parents = np.maximum(skeleton.parents, 0)

@@ -51,7 +51,7 @@ def tracking_states(
     """Return the tracking states (T, J).
 
     A joint is tracked while the visible share of its part, as the tracker believes it
-    to be, exceeds a threshold. Joints out of view are not tracked.
+    to be, exceeds a threshold.
     """
     skeleton, shape = motion.skeleton, sight.visible.shape
     steps = errors.doubt_time * motion.fps
@@ -80,9 +80,8 @@ def with_guesses(
 ) -> Array:
     """Return positions [m] with inferred joints moved toward the tracker's guesses.
 
-    A guess starts with a jump from where the joint was last tracked, relative to its
-    parent, and drifts to the joint's usual position in a standing person. Its weight is
-    the hidden share of the part.
+    A guess jumps from where the joint was last tracked, relative to its parent, and
+    drifts to its usual position in a standing person. Its weight is the hidden share.
     """
     skeleton = motion.skeleton
     frame = np.arange(len(state))

@@ -1,9 +1,8 @@
 """How much of each joint a sensor sees past the body itself, props and the room.
 
-From the sensor, rays go to the surroundings of every joint: a disk across the line of
-sight, filled by the part's own capsule, and a ring around it. Whatever a ray of the
-disk hits before the part hides the part; whatever a ray of the ring hits at the part's
-depth cannot be told apart from it in a depth image.
+Rays go to a disk across the line of sight to every joint, filled by the part's own
+capsule, and to a ring around it. Whatever a ray of the disk hits before the part hides
+the part; whatever a ray of the ring hits at the part's depth cannot be told apart.
 """
 
 from __future__ import annotations
@@ -60,10 +59,7 @@ def look(
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
 ) -> Sight:
-    """Return how much of each joint of a motion a sensor sees.
-
-    ``scene`` and ``prop_poses`` are those of ``observe``, and so are errors in them.
-    """
+    """Return how much of each joint a sensor sees; for the rest see ``observe``."""
     props = prop_poses or {}
     scanner = _Scanner(PosedBody(motion.body, scene, tuple(props)), sensor)
     moving = props.values()
@@ -186,8 +182,7 @@ def _pattern() -> Array:
 def own_parts(skeleton: Skeleton) -> Flags:
     """Return which segments show each joint, shape (joint J, segment J).
 
-    These are the segments that meet at the joint; for a joint of the trunk, all of the
-    trunk's.
+    Those that meet at the joint; for a joint of the trunk, all of the trunk's.
     """
     own = np.eye(len(skeleton), dtype=bool)
     for j, children in enumerate(skeleton.children):
