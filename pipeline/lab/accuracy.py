@@ -19,8 +19,7 @@ LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
 FAR = 0.07  # m: offset-free error above which a joint counts as wrong
-MISPLACED = 0.12
-"""Offset-free error [m], averaged over half a second, that a clip should warn about."""
+MISPLACED = 0.12  # m, likewise, averaged over half a second, to warn about
 _AVERAGED = 0.5  # s over which that error is averaged
 
 

@@ -37,8 +37,7 @@ class Timed(Stage):
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
         self.name = stage.name
-        self.seconds: list[float] = []
-        """Time of each frame or, offline, of each take [s]."""
+        self.seconds: list[float] = []  # of each frame or, offline, take
 
     def start(self, body: Body) -> None:
         """Reset the stage for a new motion."""

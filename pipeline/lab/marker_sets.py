@@ -25,11 +25,9 @@ PLUG_IN_GAIT = Path(__file__).parent / "embedded" / "plug_in_gait.toml"
 _AXES = ("left", "up", "forward")  # x, y, z
 _JOINT_KEYS = {"at", "frame", "offset", "times"}
 _EXAMPLE = "see pipeline/lab/embedded/plug_in_gait.toml for an example"
-_LARGEST = 2.0
-"""Largest offset, in m or relative to ``times``: joints are closer to their markers."""
+_LARGEST = 2.0  # m, or relative to ``times``: largest offset of a joint
 
-Points = tuple[str, ...]
-"""Names of markers or joints, standing for the mean of their positions."""
+Points = tuple[str, ...]  # markers or joints, standing for their mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +45,7 @@ class MarkerSet:
     source: str  # the file
     frames: Mapping[str, Mapping[str, tuple[Points, Points]]]
     """Start and end of two of the axes left, up and forward, per part of the body."""
-    joints: Mapping[str, Mapping[str, _Joint]]
-    """Joints per skeleton, in the order in which they are computed."""
+    joints: Mapping[str, Mapping[str, _Joint]]  # in the order of computation
 
     def centers(
         self, markers: Mapping[str, Array], skeleton: Skeleton, *, offsets: bool = True

@@ -42,8 +42,7 @@ _TURNED = 0.35  # rad off the frontal view, to show depth
 _TEMPLATE = Path(__file__).parent / "template"
 
 Motions = dict[str, Path]  # files of a system, by motion
-Trial = tuple[tuple[int, int], ...]
-"""Clips that are shown and graded at once, as (motion, system), left to right."""
+Trial = tuple[tuple[int, int], ...]  # clips (motion, system) shown at once
 
 
 def find_system(word: str) -> tuple[str, Motions]:

@@ -27,8 +27,7 @@ from .recorded_acts import mocap_act
 
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 _OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
-_IN_THE_WAY = ("office", "flip_chart", "box")
-"""Scenes with a prop in front of a person who does something else."""
+_IN_THE_WAY = ("office", "flip_chart", "box")  # scenes with a prop before a person
 _HANDLED = (
     ("box", "lift_box"),
     ("flip_chart", "flip_chart"),

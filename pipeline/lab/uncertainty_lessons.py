@@ -52,8 +52,7 @@ class Rows(NamedTuple):
     seen: Array
     gone: Array
     hidden: Flags
-    away: Array
-    """Errors relative to the middle of the hips [m], NaN where unknown, (T, 2 P, 3)."""
+    away: Array  # errors relative to the middle of the hips [m], (T, 2 P, 3)
 
 
 def lessons(

@@ -135,8 +135,7 @@ class _Loop:
         wide, deep = (0.5 * (most - least) for least, most in area)
         wide = min(wide, _LONGEST_LOOP * deep)
         deep = min(deep, _LONGEST_LOOP * wide)
-        self.sharpest = min(wide, deep) ** 2 / max(wide, deep)
-        """Smallest radius of curvature [m]."""
+        self.sharpest = min(wide, deep) ** 2 / max(wide, deep)  # radius [m]
         angle = np.linspace(0.0, 2.0 * np.pi, 721)
         center = np.array([sum(side) / 2.0 for side in area])
         edge = np.stack([-sign * wide * np.cos(angle), deep * np.sin(angle)], axis=-1)

@@ -63,8 +63,7 @@ _HIPS_AHEAD = (0.035, 0.02)
 quiet standing: the line of gravity passes about 5 cm in front of the ankles and just
 behind the hips (Winter 1995, Gait Posture 3(4))."""
 
-_TRUNK_TILT = (-0.03, 0.05)
-"""Mean and standard deviation of the trunk's tilt [rad] in standing, a guess."""
+_TRUNK_TILT = (-0.03, 0.05)  # rad, in standing: mean and deviation, a guess
 
 _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.

@@ -259,5 +259,4 @@ def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 PROP_MOTIONS = by_name(_basketball, _chair, _flip_chart, _lift_box, _office)
 """Motions with an imaginary object, by name."""
 
-TASKS: dict[str, Script] = {"store_box": _store_box}
-"""Motions that fit one scene, and are in no database and no training data."""
+TASKS: dict[str, Script] = {"store_box": _store_box}  # for one scene, never learned

@@ -65,8 +65,7 @@ class Puppet:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.scale = body.height / STANDARD_HEIGHT
-        """Size relative to the standard body, for which the motions are written."""
+        self.scale = body.height / STANDARD_HEIGHT  # relative to the standard body
         sides, rest = body.skeleton.sides, body.rest_positions
         arm = [sides(joint) for joint in ("Shoulder", "Elbow", "Wrist", "Hand")]
         leg = [sides(joint) for joint in ("Hip", "Knee", "Ankle", "Foot")]

@@ -59,18 +59,13 @@ class BodyPartForest:
     offsets: Singles  # u and v of each feature [m across the view], (F, 2, 2)
     roots: NDArray[np.int32]  # root node of each tree, (T,)
     feature: NDArray[np.int16]  # feature that each node tests, -1 for a leaf, (N,)
-    threshold: Singles
-    """Largest difference [m] for which a node continues to the left, (N,)."""
-    children: NDArray[np.int32]
-    """Left and right child of each node; for a leaf, its row in ``leaves`` twice,
-    (N, 2)."""
+    threshold: Singles  # largest difference [m] for going on to the left, (N,)
+    children: NDArray[np.int32]  # left and right; for a leaf, its row twice, (N, 2)
     leaves: Codes  # share of each body part in a leaf, scaled to 0..255, (L, P)
     push: Singles
     """Depth of a joint behind the skin, along the ray [m], for the joints of Kinect v1
     and v2, by the body part of the same name, (2, P)."""
-    least: Singles
-    """Smallest visible area of skin [m^2] around such a joint for it to be tracked,
-    (2, P)."""
+    least: Singles  # least visible skin [m^2] for it to be tracked, (2, P)
 
     def shares(self, image: DepthImage, rows: Indices, columns: Indices) -> Array:
         """Return the probability of each body part at pixels, (N, P)."""

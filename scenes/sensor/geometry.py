@@ -36,17 +36,13 @@ class Sensor:
     """Placement, optics and clock of one Kinect. The defaults describe a Kinect v2."""
 
     height: float = 1.0  # height of the sensor above the floor [m]
-    distance: float = 2.7
-    """Horizontal distance from the sensor to the origin of the motion's world [m]."""
-    azimuth: float = 0.0
-    """Angle [rad] by which the performer is turned left from facing the sensor."""
+    distance: float = 2.7  # from the sensor to the world's origin, on the floor [m]
+    azimuth: float = 0.0  # of the performer to the left, 0 facing the sensor [rad]
     tilt: float = 0.0  # pitch of the sensor, positive upward [rad]
     field_of_view: tuple[float, float] = (np.radians(70.6), np.radians(60.0))
     """Horizontal and vertical angle of view [rad]."""
-    resolution: tuple[int, int] = (512, 424)
-    """Number of columns and rows of the depth image."""
-    depth_range: tuple[float, float] = (0.5, 4.5)
-    """Smallest and largest measurable depth [m]."""
+    resolution: tuple[int, int] = (512, 424)  # columns and rows of the depth image
+    depth_range: tuple[float, float] = (0.5, 4.5)  # smallest and largest [m]
     depth_noise: DepthNoise = _V2_NOISE
     """Noise of a pixel's depth, by default at normal incidence (Fankhauser et al. 2015,
     Kinect v2 for mobile robot navigation)."""
@@ -56,8 +52,7 @@ class Sensor:
     dropped_share: float = 0.014
     """Share of frames that never arrive, in [0, 1]. In labanotation takes, 0.5 to 2.9 %
     of steps are two frames long (tests/calibrate_kinect.py)."""
-    stamp_jitter: float = 0.0003
-    """Standard deviation of the time stamps [s], from labanotation takes."""
+    stamp_jitter: float = 0.0003  # deviation [s], from labanotation takes
 
     def pixels(self, depth: Array) -> Array:
         """Return the pixel density [1/m^2] on a plane across the view at depths [m]."""

@@ -74,66 +74,40 @@ class TrackerErrors:
     ``tests/calibrate_kinect.py`` for recordings, unless called a guess.
     """
 
-    bias: float = 1.0
-    """Factor on the tracker's own joint offsets (``joint_offsets``), 1 as recorded."""
-    bias_spread: float = 0.011
-    """Standard deviation of these offsets between people, per segment and axis [m]."""
-    pull: float = 0.5
-    """Share of the way that a joint moves toward the center of the visible surface of
-    its part. A guess."""
+    bias: float = 1.0  # factor on ``joint_offsets``, 1 as recorded
+    bias_spread: float = 0.011  # deviation of these between people, per axis [m]
+    pull: float = 0.5  # share of the way to the visible surface's center; a guess
     foreshortening: float = 0.1
     """Share of the way that a joint moves toward the surface of a limb that points at
     the sensor. Recordings give -0.3 to 0.3 depending on the joint, no clearer value."""
     posture_error: float = 0.015
     """Standard deviation per axis of the mean joint's error that recurs with the
     posture [m], as the tracker was not trained on this person in this posture."""
-    posture_scale: float = 0.8
-    """Change of posture over which that error decorrelates: root of the summed squares
-    over the directions of all segments."""
-    wobble: float = 0.047
-    """Standard deviation per axis of the mean joint's wobble in fast motion [m]."""
+    posture_scale: float = 0.8  # change of directions that decorrelates it, norm
+    wobble: float = 0.047  # deviation of the mean joint in fast motion, per axis [m]
     calm: float = 0.12  # share of this wobble that remains when the joint is still
-    stirring_speed: float = 0.5
-    """Speed of a joint at which half of the other share appears [m/s]."""
+    stirring_speed: float = 0.5  # m/s, at which half of the rest appears
     wobble_time: float = 0.17  # time constant of the wobble's autocorrelation [s]
-    burst: float = 1.5
-    """Standard deviation over time of the natural logarithm of the wobble's strength:
-    most frames are calm, some jump."""
+    burst: float = 1.5  # deviation over time of the logarithm of its strength
     burst_time: float = 0.15  # time constant of that strength [s]
-    hidden_wobble: float = 2.0
-    """Increase of the wobble of a fully hidden joint, as a multiple of the wobble."""
-    blur: float = 0.004
-    """Mean and standard deviation of a measurement's lag behind its time stamp [s]."""
+    hidden_wobble: float = 2.0  # increase for a hidden joint, times the wobble
+    blur: float = 0.004  # mean and deviation of lags behind time stamps [s]
     grain: float = 5.0  # number of neighboring pixels that share one depth error
     trunk_turn: float = 0.41
     """How much farther people have turned than Kinect v2 shows hips, shoulders and the
     foot behind the body, as a share of the angle shown beyond ``_TURNED``. From
     people in front of two sensors (``turn_share_`` of the learned correction)."""
-    prop: float = 0.5
-    """Share of the way that a joint moves toward the surface of a prop that fills all
-    its surroundings. A guess."""
-    doubt: float = 0.12
-    """Standard deviation of the tracker's error in the visible share of a part."""
+    prop: float = 0.5  # share of the way to props that fill all around; a guess
+    doubt: float = 0.12  # deviation of the tracker's error in the visible share
     doubt_time: float = 0.3  # time constant of that error [s]
-    trust: float = 0.0
-    """Extra visible share that a joint needs to be tracked (``tracker_states``)."""
-    merging: float = 0.2
-    """Visible share lost when all surroundings are at the part's own depth."""
-    fast: float = 0.08
-    """Visible share lost to motion blur, per speed relative to the root [s/m]."""
-    guess: float = 1.0
-    """Share of the way that a fully hidden joint moves from the measurement to the
-    tracker's guess."""
-    guess_time: float = 0.8
-    """Time constant with which a guess drifts from where the joint was last tracked,
-    relative to its parent, to its usual position [s]. A guess."""
-    jump: float = 0.04
-    """Standard deviation per axis of the jump at the start of a guess [m]. A guess."""
-    swap_rate: float = 2.0
-    """Rate at which limbs are swapped when those of the other side fill all their
-    surroundings [1/s]. A guess."""
-    swap_time: float = 0.4
-    """Mean duration of a swap [s]. A guess."""
+    trust: float = 0.0  # extra visible share that a joint needs to be tracked
+    merging: float = 0.2  # visible share lost among surroundings as deep
+    fast: float = 0.08  # visible share lost to motion blur, per relative speed [s/m]
+    guess: float = 1.0  # share of the way from a hidden joint to its guess
+    guess_time: float = 0.8  # s, for guesses to drift to usual positions; a guess
+    jump: float = 0.04  # deviation of a guess's first jump, per axis [m]; a guess
+    swap_rate: float = 2.0  # 1/s, among limbs of the other side alone; a guess
+    swap_time: float = 0.4  # s, mean duration of a swap; a guess
     mirrored_beyond: float = 2.0
     """Angle between the person's heading and the direction to the sensor beyond which
     left and right are swapped [rad]; pi: never. Kinect's trackers assume that people

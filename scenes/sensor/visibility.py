@@ -41,15 +41,10 @@ class Sight:
     front: Array
     """How much nearer to the sensor the visible surface is than the joint's own radius
     implies [m], large for a limb that points at the sensor, shape (T, J)."""
-    merged: Array
-    """Share of the surroundings at the part's own depth, in [0, 1], shape (T, J)."""
-    rival: Array
-    """Share of disk and ring filled by the same part of the other side, (T, J)."""
-    prop: Array
-    """Share of disk and ring filled by props about as near as the part, (T, J)."""
-    prop_pull: Array
-    """Vector from the part's surface to the center of those props' surfaces [m], shape
-    (T, J, 3)."""
+    merged: Array  # share of the surroundings at the part's depth, (T, J)
+    rival: Array  # share of rays that hit the other side's same part, (T, J)
+    prop: Array  # share of rays that hit props about as near as the part, (T, J)
+    prop_pull: Array  # vector to those props' surfaces [m], (T, J, 3)
 
 
 def look(

@@ -40,8 +40,7 @@ class ClusteredGP(Learner):
 
     skeleton: Skeleton = field(kw_only=False)
     centroids: int = 800  # Q, number of clusters of training postures
-    smallest_reliability: float = 0.7
-    """Minimum reliability of every joint of a training posture."""
+    smallest_reliability: float = 0.7  # of a joint in training
     predicts: Literal["offsets", "positions"] = "offsets"  # or mocap's (eq. 5)
     lengths: Literal["learned", "own"] = "learned"
     """Bone lengths after correction: those that mocap has for people of similar

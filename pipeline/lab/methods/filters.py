@@ -70,8 +70,7 @@ class Butterworth(WholeTake):
     """
 
     _: KW_ONLY
-    cutoff: float = 6.0
-    """Frequency [Hz] at which half of the amplitude is left after both passes."""
+    cutoff: float = 6.0  # Hz, at which both passes leave half of the amplitude
     order: int = 2  # order of one pass
 
     def _filtered(self, take: Observation) -> Array:
@@ -92,8 +91,7 @@ class SavitzkyGolay(WholeTake):
     """
 
     _: KW_ONLY
-    window_seconds: float = 0.3
-    """Length of the window [s], rounded to an odd number of frames."""
+    window_seconds: float = 0.3  # s, rounded to an odd number of frames
     order: int = 3  # order of the polynomials: motion of this order passes unchanged
 
     def _filtered(self, take: Observation) -> Array:
@@ -166,8 +164,7 @@ class BoneWalk:
         rest = standard_body(skeleton)
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._rest = rest.directions[self._ends]
-        self.lengths = rest.lengths[self._ends]
-        """Bone lengths of the standard body [m], shape (S,)."""
+        self.lengths = rest.lengths[self._ends]  # of the standard body [m], (S,)
         self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
 
     def measure(self, postures: Array) -> tuple[Array, Array]:

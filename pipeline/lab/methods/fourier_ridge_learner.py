@@ -197,8 +197,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
     """The shipped corrector with its training."""
 
     skeleton: Skeleton = field(kw_only=False)
-    samples: int = 2048
-    """Number of random features per part for whole takes; live motion has half."""
+    samples: int = 2048  # random features per part; half of them in live motion
     seed: int = 0  # seed of their frequencies
 
     def __post_init__(self) -> None:

@@ -65,16 +65,13 @@ def least_energy(
 class FusedOffsets(OffsetCorrector):
     """Adds to each joint the offset of least energy around a prediction."""
 
-    spatial: float = 0.6
-    """Weight of the predicted offset (first term of eq. 22)."""
+    spatial: float = 0.6  # weight of the predicted offset (first term of eq. 22)
     temporal: float = 0.2  # weight of constant velocity (second term)
-    reliability: float = 0.2
-    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
+    reliability: float = 0.2  # weight of a zero offset, times reliability (third)
     likelihood: Likelihood = "relative"
     """Units of the energy's terms: squared distances, the spatial one ``relative`` to
     its prior variance; or negative log densities, with measured variances."""
-    carry: float = 1.0
-    """Share of the last velocity that the temporal term expects in the next frame."""
+    carry: float = 1.0  # share of the last velocity that the temporal term expects
     spared: float = 0.0  # share of the temporal weight less for a fully reliable joint
     inputs: Literal["measured", "held"] = "held"
     """What offsets are predicted from and added to: the joints as measured, or, if

@@ -24,12 +24,9 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     skeleton: Skeleton
     reference: Reference  # the person's segment lengths
     _: KW_ONLY
-    largest_displacement: float = 0.03
-    """T [m]: joints that move less are not in error (eq. 10)."""
-    steepness: float = 4.0
-    """Reliability lost per T beyond T; by default 0 is reached at 1.25 T (eq. 10)."""
-    now: float = 0.7
-    """Weight of the current frame; the previous frame has the rest (eq. 12)."""
+    largest_displacement: float = 0.03  # T [m]: of joints not in error (eq. 10)
+    steepness: float = 4.0  # reliability lost per T beyond T (eq. 10)
+    now: float = 0.7  # weight of the current frame, not the one before (eq. 12)
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton, self.reference)

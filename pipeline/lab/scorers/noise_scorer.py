@@ -29,8 +29,7 @@ too slowly to be noise. Fitted on six people; 5 to 15 do about as well."""
 DOUBTFUL_ERROR = 0.25
 """Estimated error [m] at which reliability falls to 1/e. It is 0.85 at 10 cm and 0.6 at
 18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
-LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR
-"""Limit of a single frame's error [m], so that a jump has no effect after a second."""
+LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR  # m, of a frame: a jump is soon forgotten
 
 
 class NoiseReliabilityScorer(ReliabilityScorer):

@@ -40,8 +40,7 @@ _GAP = "55%"
 _EVERY = 20  # one in this many clips is tested
 Errors = dict[str, dict[str, float]]  # [cm] by method and situation
 Turn = tuple[float, float]  # tilt and roll [rad] by which a motion was leveled
-Runner = Callable[[Take], tuple[Array, Turn]]
-"""Function from a take to joint positions [m] and the turn that leveled them."""
+Runner = Callable[[Take], tuple[Array, Turn]]  # to joint positions [m], leveled
 
 
 def hidden_limb_errors(

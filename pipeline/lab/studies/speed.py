@@ -19,8 +19,7 @@ from .study import Options, Panel, Study, series_of
 from .study_takes import standardized
 
 Postures = NDArray[np.float32]
-_Query = tuple[Array, Array]
-"""A posture [m], shape (J, 3), and the reliabilities of its joints, shape (J,)."""
+_Query = tuple[Array, Array]  # a posture (J, 3) [m], and reliabilities (J,)
 _STAGES = ("reliability", "correct", "orientation", "physics", "total")
 _SIZES = (2_500, 10_000, 40_000, 160_000, 1_000_000)
 _PEOPLE = 78  # they perform a million postures

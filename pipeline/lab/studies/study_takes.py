@@ -20,8 +20,7 @@ from kinefilter.pipeline.progress import Progress, over, silent
 
 from .study import Options
 
-RECORDINGS = Path("../shared/data")
-"""Default folder of recordings, which are not part of kinefilter."""
+RECORDINGS = Path("../shared/data")  # default folder; not part of kinefilter
 _PEOPLE = 1000  # first seed of a study's people; also the distance between studies
 _AGAIN = 1_000_000  # added to a person's seed for another performance
 _LEARNERS = 500  # added to the seeds of people in the training data
@@ -30,8 +29,7 @@ _STAND_INS = 4  # simulated people in place of recorded ones
 _MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # theirs, as in rehabilitation
 _REPETITIONS = 10  # of each movement, as in the recordings
 
-Setting = tuple[str, str, str]
-"""What is recorded: one of SCENES, one of MOTIONS and one of SENSORS."""
+Setting = tuple[str, str, str]  # one of SCENES, of MOTIONS and of SENSORS
 
 
 def _settings(listed: str) -> list[Setting]:

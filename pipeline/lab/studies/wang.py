@@ -16,9 +16,7 @@ from .study_takes import clips_of, first_person, performed_by, recorded_people
 
 _WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}  # seconds by frames
 _RANK = 5  # of the paper's dance, read off figure 1
-_SMALL = 0.01
-"""Share of the largest singular value below which others do not count toward the rank.
-A guess, because the paper does not give one."""
+_SMALL = 0.01  # share of the largest singular value that counts for the rank: a guess
 
 
 def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
