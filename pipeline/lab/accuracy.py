@@ -1,9 +1,7 @@
 """Errors of a motion against the ground truth of marker mocap or a simulation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -172,7 +170,7 @@ class Tally:
         self._seconds += seconds
         self._frames += len(positions)
 
-    def extend(self, other: Tally) -> None:
+    def extend(self, other: Self) -> None:
         """Add the clips of another tally."""
         for name, person in other._people.items():
             mine = self._people.setdefault(name, _Person())

@@ -20,12 +20,8 @@ from kinefilter.pipeline.reliability import (
     measure_body,
     segment_lengths,
 )
-from kinefilter.retarget.body_size import Standardizer
-from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.retarget.orientation import (
-    fill_missing_joints,
-    rotations_from_positions,
-)
+from kinefilter.retarget import Standardizer, find_yaw, rotations_from_positions
+from kinefilter.retarget.orientation import fill_missing_joints
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool

@@ -1,11 +1,9 @@
 """Recordings to learn the prior for hidden limbs from: pairs, takes and mocap."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -33,7 +31,7 @@ class Recording(NamedTuple):
     share: float = 1.0  # of its frames, to learn unseen arms from
 
     @classmethod
-    def of(cls, pair: PairedTake) -> Recording:
+    def of(cls, pair: PairedTake) -> Self:
         """Return the Kinect take of a pair."""
         names = pair.subject, pair.movement, pair.clip
         return cls(*names, pair.take, _SHARE_OF_PAIRS)

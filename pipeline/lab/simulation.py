@@ -15,13 +15,7 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses, random_body
-from kinefilter.scenes.sensor import (
-    SENSORS,
-    Sensor,
-    Tracker,
-    in_sensor_frame,
-    observe,
-)
+from kinefilter.scenes.sensor import SENSORS, Sensor, Tracker, in_sensor_frame, observe
 
 from .recorded_acts import mocap_act
 

@@ -18,14 +18,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    SKELETONS,
-    Body,
-    InputError,
-    Skeleton,
-    positions_from_rotations,
-)
+from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
 from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers

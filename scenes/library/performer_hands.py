@@ -1,9 +1,8 @@
 """Hands of a performer in MuJoCo's world (z up), for the props that follow them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +26,7 @@ class Hands:
     radius: float  # of a hand [m]
 
     @classmethod
-    def of(cls, motion: Motion) -> Hands:
+    def of(cls, motion: Motion) -> Self:
         """Return the hands of a motion."""
         skeleton = motion.skeleton
         positions = to_mujoco(motion.positions)

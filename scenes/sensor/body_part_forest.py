@@ -5,13 +5,11 @@ CVPR. A body part is the skin around a joint of Kinect v2. ``pipeline/lab/teach_
 trains the trees; this file stores and evaluates them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 from os import PathLike
-from typing import IO
+from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +86,7 @@ class BodyPartForest:
         np.savez_compressed(file, **vars(self))
 
     @classmethod
-    def load(cls, file: str | PathLike[str] | IO[bytes]) -> BodyPartForest:
+    def load(cls, file: str | PathLike[str] | IO[bytes]) -> Self:
         """Read a file written by ``save``."""
         with np.load(file, allow_pickle=False) as arrays:
             return cls(**{f.name: arrays[f.name] for f in fields(cls)})

@@ -4,8 +4,6 @@ A MuJoCo ray goes through every second pixel of every second row, which needs no
 Everything except the person is removed, as Kinect's trackers do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ left and right apart: of several candidates, one near the joint's place in the p
 image is preferred, and segments do not stretch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Sensor frame: origin at the sensor, y up, z from the sensor toward the person, x
 sensor's left. A person facing the sensor faces -z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

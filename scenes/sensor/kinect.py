@@ -6,8 +6,6 @@ the errors of position (``tracker_errors``) and the states (``tracker_states``).
 ``depth`` finds joints in rendered depth images (``depth_tracker``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, get_args

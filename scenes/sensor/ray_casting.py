@@ -3,8 +3,6 @@
 Each segment is a MuJoCo mocap body with the segment's capsules.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import mujoco

@@ -12,8 +12,6 @@ marker mocap (UI-PRMD, Vakanski et al. 2018, Data 3(1)), people s02, s03 and s04
 left and right pooled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

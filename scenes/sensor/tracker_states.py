@@ -1,7 +1,5 @@
 """Tracking states of the modeled tracker, guesses of hidden joints, swapped limbs."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.random import Generator
 

@@ -5,8 +5,6 @@ capsule, and to a ring around it. Whatever a ray of the disk hits before the par
 the part; whatever a ray of the ring hits at the part's depth cannot be told apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
