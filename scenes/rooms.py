@@ -89,8 +89,7 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
     character.visual, character.stat = scene.visual, scene.stat
     scene.option = character.option
     character.meshdir, character.texturedir = scene.meshdir, scene.texturedir
-    frame = character.worldbody.add_frame()
-    character.attach(scene, frame=frame, prefix=_PREFIX)
+    character.attach(scene, frame=character.worldbody.add_frame(), prefix=_PREFIX)
     # Attaching needs a prefix, but all later readers need the names without it. Only
     # the root of the default classes would then have the name of another.
     character.compiler.savecompiled = False

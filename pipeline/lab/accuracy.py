@@ -186,8 +186,7 @@ class Tally:
             clips = list(zip(person.movements, person.varying, strict=True))
             for movement in dict.fromkeys(person.movements):
                 varying = np.concatenate([v for m, v in clips if m == movement])
-                mean = float(np.nanmean(varying) * 100)
-                errors.setdefault(movement, {})[name] = mean
+                errors.setdefault(movement, {})[name] = float(np.nanmean(varying) * 100)
         return errors
 
     def summary(self) -> dict[str, Any]:
@@ -207,7 +206,7 @@ class Tally:
             **means,
             "ms_per_frame": self._seconds / self._frames * 1e3,
             "joints": {
-                name: None if np.isnan(mean) else float(mean) for name, mean in joints
+                name: None if np.isnan(cm) else float(cm) for name, cm in joints
             },
             "clips_off": sum(off for off, _ in clips),
             "clips_off_told": sum(off and warned for off, warned in clips),

@@ -100,10 +100,8 @@ def scripted_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
     """Return the built-in database: postures of all scripted motions that differ."""
-    parts = scripted_postures(skeleton, progress)
-    return filtered_database(
-        parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
-    )
+    parts, count = scripted_postures(skeleton, progress), BUILTIN_POSTURES
+    return filtered_database(parts, skeleton, "built-in", count, recorded=False)
 
 
 def scripted_postures(
@@ -166,8 +164,7 @@ def standard_postures(
     Joints that the source lacks get their rest offset from their parent.
     """
     standard = standard_body(body.skeleton)
-    weights = np.ones(positions.shape[:2])
-    postures, view = Standardizer(body).steps(positions, weights)
+    postures, view = Standardizer(body).steps(positions, np.ones(positions.shape[:2]))
     if rotations is not None:
         rotations = view.remove_rotations(rotations)
     postures = fill_missing_joints(postures, standard)

@@ -36,8 +36,7 @@ def distances(track: Track) -> Array:
     count = int((track.time[-1] - track.time[0]) * _RATE) + 1
     positions = track.at(track.time[0] + np.arange(count) / _RATE)
     one, other = np.triu_indices(positions.shape[1], 1)
-    apart = positions[:, one] - positions[:, other]
-    return np.asarray(np.linalg.norm(apart, axis=2))
+    return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))
 
 
 def best_lag(first: Array, second: Array, least: float) -> Lag | None:

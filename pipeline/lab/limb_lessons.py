@@ -290,8 +290,7 @@ def read_lessons(
 ) -> list[Lesson]:
     """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
-        read = partial(lesson_of, modes=modes)
-        return list(pool.map(read, recordings))
+        return list(pool.map(partial(lesson_of, modes=modes), recordings))
 
 
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:

@@ -118,8 +118,7 @@ def pair_session(
     clips = [Path(take.source).name.split(".")[0] for take in takes]
     matches: list[_Match] = []
     refused: list[str] = []
-    for k in over(range(len(recordings)), "pair", progress):
-        take, mocap = recordings[k]
+    for k, (take, mocap) in enumerate(over(recordings, "pair", progress)):
         try:
             joints = joint_centers(mocap, take.skeleton, table)
             matches.append(_match(clips[k], take, joints, least))
@@ -276,8 +275,7 @@ def _explained(match: _Match, placed: Placement) -> float:
 
 def _median(values: Array) -> Array:
     """Return each joint's median over frames, NaN if it is always missing, (J, 3)."""
-    flat = column_medians(values.reshape(len(values), -1))
-    return flat.reshape(values.shape[1:])
+    return column_medians(values.reshape(len(values), -1)).reshape(values.shape[1:])
 
 
 def _on_one_clock(matches: list[_Match]) -> list[_Match]:
@@ -342,8 +340,7 @@ def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
     if outside := len(take) - (inside.stop - inside.start):
         notes.append(f"{outside} frames are before or after the mocap")
     pair = PairedTake(*_even(take, truth, inside), subject, match.clip)
-    explained = _explained(match, placed)
-    return Pairing(pair, match.clock, placed, explained, tuple(notes))
+    return Pairing(pair, match.clock, placed, _explained(match, placed), tuple(notes))
 
 
 def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:

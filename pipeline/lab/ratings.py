@@ -189,9 +189,7 @@ def _mean(values: Array) -> Figures:
 def wilcoxon(differences: Array) -> float:
     """Return the p-value of Wilcoxon's signed-rank test, 1 without any difference."""
     differences = np.round(differences, 9)  # equal means may differ by rounding
-    if not differences.any():
-        return 1.0
-    return float(stats.wilcoxon(differences).pvalue)
+    return float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
@@ -28,15 +29,7 @@ from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
-from .view_sessions import (
-    LIMBS,
-    Session,
-    degrees_of,
-    placed,
-    read_views,
-    view_pairs,
-    yaw_of,
-)
+from .view_sessions import LIMBS, Session, placed, read_views, view_pairs, yaw_of
 
 _TRUNK = "trunk"  # of which the heading is compared
 FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
@@ -168,10 +161,8 @@ def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]
     middles = (0.5 * (p[:, line] + p[:, mirror]) for p in (truth, positions))
-    apart = yaw_of(positions, skeleton) - yaw_of(
-        placement(*middles).rotate(truth), skeleton
-    )
-    return degrees_of(apart)
+    true_yaw = yaw_of(placement(*middles).rotate(truth), skeleton)
+    return np.degrees(np.abs(wrapped(yaw_of(positions, skeleton) - true_yaw)))
 
 
 def _mean(values: Any) -> float | None:
@@ -196,9 +187,10 @@ def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
 
 def as_table(figures: Figures) -> Table:
     """Return the figures as a table for the terminal."""
-    table = Table("session, side sensor", title="between the two sensors, cm")
-    for heading in (*LIMBS, "trunk, degrees"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    columns = (
+        Column(h, justify="right", no_wrap=True) for h in (*LIMBS, "trunk, degrees")
+    )
+    table = Table("session, side sensor", *columns, title="between the two sensors, cm")
     means = [
         {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}
         for angle, mean in figures["angles"].items()

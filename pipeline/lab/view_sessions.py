@@ -156,12 +156,7 @@ def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
     view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
-    return degrees_of(yaw_of(positions, take.skeleton) - view)
-
-
-def degrees_of(angles: Array) -> Array:
-    """Return the size of turns [rad] in degrees, at most 180."""
-    return np.degrees(np.abs(wrapped(angles)))
+    return np.degrees(np.abs(wrapped(yaw_of(positions, take.skeleton) - view)))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:

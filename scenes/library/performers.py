@@ -37,20 +37,15 @@ wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise).
 """
 
 _EXTRA_WIDTH = {
-    "deep_squat": 0.7,
-    "bend_leg": -0.3,
     "dance": -0.5,
-    "dodge": 1.0,
-    "hurdle_step": -0.3,
     "kick": 0.2,
-    "leg_raise": -0.3,
-    "pick_up": 0.4,
-    "punch": 0.3,
-    "sit": 0.4,
-    "sit_to_stand": 0.4,
+    "deep_squat": 0.7,
     "squat": 0.9,
-    "swing": 0.3,
+    "dodge": 1.0,
 }
+_EXTRA_WIDTH |= dict.fromkeys(("bend_leg", "hurdle_step", "leg_raise"), -0.3)
+_EXTRA_WIDTH |= dict.fromkeys(("pick_up", "sit", "sit_to_stand"), 0.4)
+_EXTRA_WIDTH |= dict.fromkeys(("punch", "swing"), 0.3)
 """Extra distance between the feet, in hip widths, by motion."""
 
 _USUAL_EXTRA_WIDTH = -0.25  # of all other motions: the feet are 11 to 29 cm apart
@@ -159,10 +154,9 @@ def perform_medley(
     for name, seconds in parts:
         check_choice(name, MOTIONS, "motion")
         if name in GAITS:
-            allowed = ", ".join(sorted(_SCRIPTS))
             raise InputError(
                 f"{name!r} does not stay on the spot, so a medley cannot contain it; "
-                f"choose from {allowed}"
+                f"choose from {', '.join(sorted(_SCRIPTS))}"
             )
         score.append(_SCRIPTS[name](puppet, rng, base, seconds))
         score.to(0.4, base)

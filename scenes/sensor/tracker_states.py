@@ -12,19 +12,9 @@ from .geometry import Sensor, in_world_frame
 from .tracker_errors import TrackerErrors, slow_noise, velocities
 from .visibility import Sight
 
-_NEEDED = {
-    "Head": 0.0,
-    "Shoulder": -0.2,
-    "Hip": -0.3,
-    "Elbow": 0.65,
-    "Wrist": 0.82,
-    "Hand": 0.81,
-    "HandTip": 0.2,
-    "Thumb": 0.0,
-    "Knee": 0.2,
-    "Ankle": 0.2,
-    "Foot": 0.2,
-}
+_NEEDED = {"Head": 0.0, "Thumb": 0.0, "Shoulder": -0.2, "Hip": -0.3}
+_NEEDED |= {"Elbow": 0.65, "Wrist": 0.82, "Hand": 0.81}
+_NEEDED |= dict.fromkeys(("HandTip", "Knee", "Ankle", "Foot"), 0.2)
 """Minimum believed visible share of a part for its joint to be tracked, set by hand so
 that each kind of joint is inferred as often as in recordings of free movement."""
 _NEEDED_OF_TRUNK = -0.3  # the tracker always finds some of it

@@ -193,8 +193,7 @@ def learned_weights(pairs: Sequence[PairedTake]) -> ClueWeights:
     """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
-    parts = map(_clues_and_errors, pairs)
-    clues, far = map(np.concatenate, zip(*parts, strict=True))
+    clues, far = map(np.concatenate, zip(*map(_clues_and_errors, pairs), strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
     kinds = np.array(learned.skeleton.kinds)
     for kind in dict.fromkeys(kinds):

@@ -85,15 +85,11 @@ class Verdict:
     note: str = ""
 
     @property
-    def words(self) -> str:
-        """Last cell of the verdict's row in a table."""
-        return self.note if self.held is None else "yes" if self.held else "no"
-
-    @property
     def row(self) -> tuple[str, str, str, str]:
         """Cells of the verdict's row in a table."""
         measured = "" if self.measured is None else f"{self.measured:.4g}"
-        return self.claim.name, self.claim.figure, measured, self.words
+        held = self.note if self.held is None else "yes" if self.held else "no"
+        return self.claim.name, self.claim.figure, measured, held
 
 
 def judge(

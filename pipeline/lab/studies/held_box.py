@@ -61,8 +61,7 @@ def held_box(options: Options, *, count: int = 20) -> Study:
 
 
 def _figures(take: Take, end: tuple[float, float], *, holds: bool) -> dict[str, float]:
-    loose = mock.patch.object(world, "add_ties")
-    with nullcontext() if holds else loose:
+    with nullcontext() if holds else mock.patch.object(world, "add_ties"):
         result = clean(take, CleanConfig(scene="box"))
     (box,) = (prop for prop in result.clip.props if prop.name == "box")
     heights = box.positions[:, 1]

@@ -84,8 +84,7 @@ def _on_person(
     people: Sequence[str], movements: int, options: Options, name: str
 ) -> dict[str, _People]:
     test = clips_of([name], movements, options)[::_EVERY]
-    others = [other for other in people if other != name]
-    train = clips_of(others, movements, options)
+    train = clips_of([other for other in people if other != name], movements, options)
     return _errors(evaluate(train, test, _METHODS, database="mocap"))
 
 

@@ -208,8 +208,7 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         look |= {"start": begin, "to": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):
             pictures = Path(folder) / str(k)
-            shown_clip = cleaner.clean(shown).clip
-            _animate(shown_clip, pictures / "%05d.png", progress, **look)
+            _animate(cleaner.clean(shown).clip, pictures / "%05d.png", progress, **look)
             columns.append([imread(f) for f in sorted(pictures.glob("*.png"))])
     frames = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
     coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]
