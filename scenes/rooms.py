@@ -55,11 +55,7 @@ def load_scene(
 
 
 def scene_xml(scene: str | Path, body: Body | None = None) -> str:
-    """Return a scene as self-contained MJCF that MuJoCo can load from anywhere.
-
-    Only the meshes and textures of users' scenes stay in their files, with absolute
-    paths. For arguments and errors see ``load_scene``.
-    """
+    """Return ``load_scene`` as self-contained MJCF, but for users' asset files."""
     spec = load_scene(scene, body)
     spec.compiler.savecompiled = False  # keeps all numbers as they were written
     return str(spec.to_xml())

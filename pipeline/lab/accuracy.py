@@ -41,10 +41,7 @@ class Accuracy:
         return self.distances(self._standard(positions), self._standard(truth))
 
     def varying(self, positions: Array, truth: Array) -> Array:
-        """Return E_var [m]: each joint's constant offset is removed first, (T, 12).
-
-        This is the error that an animator sees as wrong motion.
-        """
+        """Return E_var [m], without each joint's constant offset, (T, 12)."""
         away = self.away(positions, truth)
         return np.asarray(np.linalg.norm(away - mean_of_known(away), axis=2))
 
@@ -57,10 +54,7 @@ class Accuracy:
         return np.asarray((positions - middle)[:, self.limbs])
 
     def _standard(self, positions: Array) -> Array:
-        """Keep the direction of each bone and give it the standard length.
-
-        The trunk is one bone, because mocap often has no spine joint.
-        """
+        """Give bones standard lengths; the trunk is one, as mocap may lack a spine."""
         skeleton = self.skeleton
         standard = np.full_like(positions, np.nan)
         standard[:, skeleton.root] = 0.0
@@ -81,10 +75,7 @@ def mean_of_known(values: Array) -> Array:
 
 
 def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
-    """Return the percentages of ``ratios`` of errors to uncertainties below 1 and 1.96.
-
-    Ratios are NaN where unknown; None if all are.
-    """
+    """Return the percentages of known errors below 1 and 1.96 uncertainties, or None."""
     known = ratios[~np.isnan(ratios)]
     if not known.size:
         return None

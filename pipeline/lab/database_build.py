@@ -159,10 +159,7 @@ def filtered_database(
 def standard_postures(
     positions: Array, rotations: Array | None, body: Body
 ) -> tuple[Array, Array]:
-    """Return postures and segment rotations on the standard body, without yaw.
-
-    Joints that the source lacks get their rest offset from their parent.
-    """
+    """Return postures and segment rotations on the standard body, without yaw."""
     standard = standard_body(body.skeleton)
     postures, view = Standardizer(body).steps(positions, np.ones(positions.shape[:2]))
     if rotations is not None:

@@ -344,11 +344,7 @@ def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
 
 
 def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
-    """Return frames at the take's nominal rate, as pairs files have no time stamps.
-
-    Each moves by at most half a step. Of several at one step the first is kept, and a
-    step without a frame becomes an empty frame.
-    """
+    """Return frames at the take's nominal rate, as pairs files have no time stamps."""
     step, time = nominal_step(take.time), take.time[rows]
     rounded = np.round((time - time[0]) / step).astype(int)
     steps, first = np.unique(rounded, return_index=True)

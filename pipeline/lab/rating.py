@@ -57,10 +57,7 @@ def find_system(word: str) -> tuple[str, Motions]:
 
 
 def motions_of(path: Path) -> Motions:
-    """Return the motions in a file or a folder, named after files without suffixes.
-
-    InputError if there is none, or if two have the same name.
-    """
+    """Return the motions in a file or folder by file name; InputError if not unique."""
     if not path.is_dir():
         return {_motion_in(Path(path.name)): path}
     found: Motions = {}
@@ -82,10 +79,7 @@ def _motion_in(path: Path) -> str:
 
 
 def matched(systems: Mapping[str, Motions]) -> list[str]:
-    """Return the motions that all systems have, or raise an InputError.
-
-    If every system is a single file, all files are taken for the same motion.
-    """
+    """Return the motions that all systems, or single files, have; or InputError."""
     first, *others = systems.values()
     if all(len(motions) == 1 for motions in systems.values()):
         return list(first)
@@ -102,11 +96,7 @@ def matched(systems: Mapping[str, Motions]) -> list[str]:
 def planned(
     systems: int, motions: int, *, single: bool, repeats: int, seed: int
 ) -> list[Trial]:
-    """Return the trials in order, see ``write_rating_page``.
-
-    Every two systems are compared in every motion, on the left and on the right about
-    as often, by system and by pair of systems.
-    """
+    """Return the trials in order, with every two systems as often left as right."""
     rng = np.random.default_rng(seed)
     trials: list[Trial] = []
     if single:
@@ -253,11 +243,7 @@ def _read(path: Path) -> Clip | Take:
 
 
 def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
-    """Return a clip that stands on the floor, preferably one with a known tilt.
-
-    A CSV may be a take in its sensor's frame, so the one whose feet are nearest to
-    y = 0 counts only without another clip.
-    """
+    """Return a clip that stands on the floor, preferably one with a known tilt."""
     if leveled_clips := [clip for clip in clips if isinstance(clip, Clip)]:
         return max(leveled_clips, key=lambda clip: np.isfinite(clip.tilt))
     nearest = min(clips, key=lambda clip: abs(_foot_height(clip.positions)))

@@ -201,11 +201,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def _agreement(answers: Sequence[Answer]) -> Figures:
-    """Return how consistently a rater answered the trials that came twice.
-
-    ``reversed`` are trials in which the other clip was better the second time;
-    ``apart`` is the mean difference between two grades of the same clip.
-    """
+    """Return how consistently a rater answered the trials that came twice."""
     first: dict[tuple[int, ...], dict[int, int]] = {}
     twice = reversals = 0
     apart = []

@@ -186,11 +186,7 @@ def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedT
 def simulated_pairs(
     skeleton: str, *, people: int = 400, progress: Progress = silent
 ) -> list[PairedTake]:
-    """Return Kinect v2 takes for training, each of another simulated person.
-
-    At most 900 people perform the motions of the library in turn, on an empty floor.
-    None of them is in the built-in database or in the studies.
-    """
+    """Return Kinect v2 takes of up to 900 people in no study, for training."""
     people = min(people, _MOST_PEOPLE)
     return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
 
@@ -226,10 +222,7 @@ def truth_of(pair: PairedTake) -> Take:
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
-    """Write clips of one person as a pairs file, at their median frame rate.
-
-    Raises an InputError if the file cannot be written.
-    """
+    """Write a person's clips as a pairs file at their median rate, or InputError."""
     takes = [pair.take for pair in pairs]
     stop = np.cumsum([len(take) for take in takes])
     steps = np.concatenate([np.diff(take.time) for take in takes])

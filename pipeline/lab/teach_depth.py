@@ -95,10 +95,7 @@ class Shot(NamedTuple):
 
 
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
-    """Return segment rotations of diverse postures, without yaw, (N, J, 4).
-
-    Raises an InputError if the folder has no BVH file of these subjects.
-    """
+    """Return rotations of diverse postures without yaw, (N, J, 4), or InputError."""
     files = [
         file
         for file in sorted(folder.glob("*.bvh*"))
@@ -147,11 +144,7 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
 
 
 def features(count: int) -> Singles:
-    """Return the offset pairs u and v of features [m across the view], (F, 2, 2).
-
-    As in the paper, half of them compare a nearby point with the pixel itself. The
-    lengths are evenly distributed on a logarithmic scale.
-    """
+    """Return pairs u, v of log-uniform lengths, half with v = 0, (F, 2, 2)."""
     rng = np.random.default_rng(0)
     angle = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
     size = np.exp(rng.uniform(np.log(_NEAREST), np.log(_FARTHEST), (count, 2)))
@@ -163,11 +156,7 @@ def features(count: int) -> Singles:
 def training_pixels(
     seed: int, sizes: Sizes, mocap: dict[str, Array]
 ) -> tuple[Singles, NDArray[np.int8]]:
-    """Return features and body parts of pixels of one person.
-
-    A pixel is drawn with a probability inversely proportional to the square root of its
-    body part's area, so that small parts are drawn more often.
-    """
+    """Return features and parts of a person's pixels, more often of rare parts."""
     rng, offsets = np.random.default_rng([seed, 1]), features(sizes.features)
     values, parts = [], []
     for shot in shots_of(seed, sizes.images, mocap):
@@ -284,11 +273,7 @@ def _by_skeleton(
 def with_constants(
     forest: BodyPartForest, checked: Sequence[Results]
 ) -> BodyPartForest:
-    """Return the forest with each joint's depth behind the skin and minimum area.
-
-    The depth is the median over images that show much skin. The minimum area is the one
-    that decides most reliably whether the joint is within 10 cm.
-    """
+    """Return the forest with joints' depth behind the skin and least decisive area."""
     push, least = forest.push.copy(), forest.least.copy()
     for row, skeleton, skin, area, joints in _by_skeleton(checked):
         line = skin / np.linalg.norm(skin, axis=-1, keepdims=True)

@@ -81,10 +81,7 @@ def training_set(
 
 
 def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
-    """Return a take as correction receives it: scored, on the standard body.
-
-    Tracking failures are not removed: training and comparisons need the sensor's data.
-    """
+    """Return a take as correction receives it, but with tracking failures."""
     cleaner = Cleaner(config)
     if config is None or config.preset is None:  # a preset has no such stage
         cleaner = cleaner.without("failures")
@@ -92,10 +89,7 @@ def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
 
 
 def standard_truth(pair: PairedTake, draft: Draft) -> Array:
-    """Return the mocap of a pair on the standard body, as in its draft [m], (T, J, 3).
-
-    NaN where missing, and shifted so that the middle of the hips is the measured one.
-    """
+    """Return a pair's mocap as in its draft, hips in the same place [m], (T, J, 3)."""
     hips, measured = draft.skeleton.hips, draft.measured
     shift = measured[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
     truth = pair.truth + shift[:, None]

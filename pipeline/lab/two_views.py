@@ -153,10 +153,7 @@ def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
 
 
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return the angles between the trunk's heading and the true one [degrees], (T,).
-
-    The middle line of the body brings them together: hips and shoulders may be turned.
-    """
+    """Return the angles between headings of trunks with one middle [degrees], (T,)."""
     names = ("Head", "KneeLeft", "AnkleLeft")
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]

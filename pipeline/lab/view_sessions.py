@@ -179,11 +179,7 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
 def view_pairs(
     sessions: Sequence[Session], progress: Progress = silent
 ) -> Iterator[PairedTake]:
-    """Yield the takes of side sensors with the front sensor's joints as ground truth.
-
-    It is in the side sensor's frame, and NaN where the front sensor has no frame or the
-    person turns away from it.
-    """
+    """Yield side takes with the front's joints, where the person faces it, as truth."""
     for session in over(sessions, "read views", progress):
         side, at, seen, *_, faces = read_views(session)
         side = _mended(side)

@@ -31,10 +31,7 @@ _FASTEST_PUSH = 12.0  # m/s, faster than a dribbler's hand
 
 
 def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
-    """Return the height [m] of a bouncing ball some time [s] after its start.
-
-    It starts at a height [m], not negative, with an upward speed [m/s], all broadcast.
-    """
+    """Return the height [m] of a ball with an upward speed [m/s] after a time [s]."""
     h, v, t = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (height, speed, duration))
     )
@@ -51,10 +48,7 @@ def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
 
 
 def rolled(height: float, speed: float, duration: ArrayLike) -> Array:
-    """Return the horizontal distance per unit of launch speed [s].
-
-    After the first bounce the ball slows down as if it rolled.
-    """
+    """Return the way per launch speed [s]; after the first bounce it rolls."""
     time = np.asarray(duration, dtype=float)
     fall = (speed + np.sqrt(speed**2 + 2.0 * GRAVITY * height)) / GRAVITY
     rolling = np.maximum(time - fall, 0.0)
@@ -244,10 +238,7 @@ def _best_flight(
     pair: tuple[int, int],
     radius: float,
 ) -> tuple[int, int | None]:
-    """Return the release and the catch at which a flight fits the hands' speeds best.
-
-    The ball must bounce on its way; where it cannot, there is no catch.
-    """
+    """Return the release and the catch, if any, of the best flight with a bounce."""
     before, after = np.meshgrid(release, catch, indexing="ij")
     start = _under(hands, pair[0], radius)[before, 2] - radius
     end = _under(hands, pair[1], radius)[after, 2] - radius

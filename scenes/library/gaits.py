@@ -72,10 +72,7 @@ def _style(name: str, rng: Rng) -> _Gait:
 def gait(
     name: str, puppet: Puppet, rng: Rng, time: Array, within: Area | None = None
 ) -> Pose:
-    """Return the motion of a gait at the given times [s], shape (T,).
-
-    The path leads straight ahead, or around an ellipse within an area.
-    """
+    """Return a gait at times [s], (T,), straight ahead or around an ellipse."""
     style, size = _style(name, rng), puppet.scale
     loop = None if within is None else _Loop(within, int(rng.choice([-1, 1])))
     if loop is not None:
@@ -160,10 +157,7 @@ class _Loop:
         return moved, heading, curvature
 
     def bent(self, pose: Pose, speed: float) -> Pose:
-        """Return a straight motion at a speed [m/s], led around the loop.
-
-        Planted feet stay in place, and the body leans inward.
-        """
+        """Return a straight motion at a speed [m/s] led around the loop, leaning."""
         start = pose.root[0, 2]
         root, heading, curvature = self._along(pose.root, start)
         ankle, toes, _ = self._along(pose.ankle, start)

@@ -269,11 +269,7 @@ def _third_side(a: float, b: float, flexion: float) -> float:
 def _upper_bone(
     upper: float, lower: float, distance: Array, line: Array, toward: Array
 ) -> Array:
-    """Return the direction of a limb's upper bone, (..., 3).
-
-    Its ends are ``distance`` apart along ``line``, and its joint points in the
-    direction ``toward`` across the line, both unit vectors.
-    """
+    """Return the upper bone's direction, for ends ``distance`` apart, (..., 3)."""
     cosine = (upper**2 + distance**2 - lower**2) / (2.0 * upper * distance)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     return np.asarray(cosine[..., None] * line + sine[..., None] * toward)

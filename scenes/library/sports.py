@@ -239,10 +239,7 @@ def _dance_step(puppet: Puppet, pose: Pose, rng: Rng, side: int) -> tuple[Pose, 
 
 
 def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    """Jump on the spot: squat, swing the arms, fly, land softly.
-
-    The time in the air is that of a ballistic flight to the height and back.
-    """
+    """Jump on the spot: squat, swing the arms, fly ballistically, land softly."""
     score, u = Score(base).hold(0.3), rng.uniform
     while score.duration < length:
         high, tuck = u(0.06, 0.35), u(0.0, 0.9)

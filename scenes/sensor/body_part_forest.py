@@ -49,10 +49,7 @@ def depth_differences(
 
 @dataclass(frozen=True, eq=False)
 class BodyPartForest:
-    """A random forest that classifies pixels by body part, as flat arrays.
-
-    Nodes and leaves are numbered consecutively over all trees.
-    """
+    """A forest that classifies pixels by body part, its nodes numbered across trees."""
 
     offsets: Singles  # u and v of each feature [m across the view], (F, 2, 2)
     roots: NDArray[np.int32]  # root node of each tree, (T,)
@@ -101,10 +98,7 @@ def shipped_forest() -> BodyPartForest:
 
 
 def parts_of_joints(skeleton: Skeleton) -> Flags:
-    """Return which body parts belong to each joint of a skeleton, (P, J).
-
-    Those of joints that Kinect v1 lacks belong to its joints beside them.
-    """
+    """Return which body parts belong to each joint or the one beside it, (P, J)."""
     joints = skeleton.joints
     belongs = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)
     for p, name in enumerate(KINECT_V2.joints):

@@ -102,10 +102,7 @@ class DepthCamera:
 
 
 def with_noise(image: DepthImage, sensor: Sensor, rng: Generator) -> DepthImage:
-    """Return an image with a Kinect's noise, depth resolution and missing edges.
-
-    Noise and steps of disparity are after Khoshelham & Elberink 2012, Sensors 12(2).
-    """
+    """Return an image with a Kinect's noise and edges (Khoshelham & Elberink 2012)."""
     depth = image.depth
     edge = maximum_filter(depth, footprint=_CROSS) - depth > _EDGE
     edge |= depth - minimum_filter(depth, footprint=_CROSS) > _EDGE

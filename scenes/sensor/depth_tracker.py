@@ -94,11 +94,7 @@ def track_in_depth(
     scene: mujoco.MjSpec | None,
     prop_poses: Mapping[str, Array],
 ) -> tuple[Array, Codes]:
-    """Find joints in depth images of a motion.
-
-    Returns their positions (T, J, 3) [m] in the sensor frame, NaN if not tracked, and
-    their states (T, J). Scene, poses and errors are those of ``observe``.
-    """
+    """Find joints [m] in the sensor frame, (T, J, 3), and states; see ``observe``."""
     forest, skeleton = shipped_forest(), motion.skeleton
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = joint_constants(forest, skeleton)

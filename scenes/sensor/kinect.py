@@ -90,10 +90,7 @@ def observe(
 
 
 def sample_take() -> Take:
-    """Simulate the shipped sample ``takes/wave_punch_bend.csv``.
-
-    A person turned halfway aside waves, also out of view, punches and bends.
-    """
+    """Simulate the shipped sample: someone aside waves out of view, punches, bends."""
     parts = [("wave", 0.5), ("punch", 2.0), ("bend", 0.5)]
     motion = perform_medley(parts, standard_body(KINECT_V1), seed=17)
     sensor = replace(SENSORS["v1"], height=0.8, distance=2.5, azimuth=0.8)

@@ -117,11 +117,7 @@ def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
 
 
 def joint_offsets(skeleton: Skeleton) -> Array:
-    """Return the tracker's constant offsets [m] in segment frames, shape (2, J, 3).
-
-    They turn with the segment that ends at the joint, and with the one that starts
-    there. The axes are those of the rest pose, facing +z.
-    """
+    """Return constant offsets [m], before and after the joint, at rest, (2, J, 3)."""
     table = np.array([row[:2] for row in _table(skeleton)])
     table[[j.endswith("Right") for j in skeleton.joints], :, 0] *= -1.0
     return np.asarray(0.01 * table.swapaxes(0, 1))
@@ -284,10 +280,7 @@ def velocities(positions: Array, fps: float) -> Array:
 
 
 def slow_noise(shape: tuple[int, ...], steps: float, rng: Generator) -> Array:
-    """Return noise of unit variance with a time constant of ``steps`` frames.
-
-    A first-order autoregressive process along axis 0, started in its steady state.
-    """
+    """Return autoregressive unit noise of a time constant of ``steps`` frames."""
     kept = np.exp(-1.0 / max(steps, 1e-6))
     pushes = np.sqrt(1.0 - kept**2) * rng.normal(size=shape)
     pushes[0] /= np.sqrt(1.0 - kept**2)

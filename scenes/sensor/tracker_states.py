@@ -36,11 +36,7 @@ def _limbs(skeleton: Skeleton) -> list[list[int]]:
 def tracking_states(
     motion: Motion, sight: Sight, in_view: Flags, errors: TrackerErrors, rng: Generator
 ) -> Codes:
-    """Return the tracking states (T, J).
-
-    A joint is tracked while the visible share of its part, as the tracker believes it
-    to be, exceeds a threshold.
-    """
+    """Return states (T, J), tracked where enough of a part is believed visible."""
     skeleton, shape = motion.skeleton, sight.visible.shape
     steps = errors.doubt_time * motion.fps
     slow = slow_noise(shape, steps, rng)

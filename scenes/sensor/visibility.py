@@ -173,10 +173,7 @@ def _pattern() -> Array:
 
 
 def own_parts(skeleton: Skeleton) -> Flags:
-    """Return which segments show each joint, shape (joint J, segment J).
-
-    Those that meet at the joint; for a joint of the trunk, all of the trunk's.
-    """
+    """Return which segments meet at each joint, or form its trunk, (J, J)."""
     own = np.eye(len(skeleton), dtype=bool)
     for j, children in enumerate(skeleton.children):
         own[j, list(children)] = True

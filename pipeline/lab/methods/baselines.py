@@ -100,10 +100,7 @@ class FullGP(FusedOffsets):
         return offsets, coverage
 
     def _explained(self, gaussian: Array) -> Array:
-        """Return a lower bound on the share of theta0 that the samples explain, (M,).
-
-        It comes from the nearest samples, and is 1 at the training data.
-        """
+        """Return a lower bound on the share of theta0 that samples explain, (M,)."""
         count = min(_FOR_VARIANCE, gaussian.shape[1])
         near = np.argpartition(-gaussian, count - 1, axis=1)[:, :count]
         rows = np.take_along_axis(self._rows, near[..., None], axis=1)

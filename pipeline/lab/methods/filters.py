@@ -27,11 +27,7 @@ _IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition
 
 
 def bridge_gaps(time: Array, positions: Array) -> Array:
-    """Return positions (T, J, 3) [m] with gaps, NaN, interpolated linearly in time [s].
-
-    Before its first and after its last measurement a joint is held constant; a joint
-    that was never seen stays NaN.
-    """
+    """Return positions (T, J, 3) [m] with gaps bridged in time [s], held at ends."""
     columns = positions.reshape(len(positions), -1)
     bridged = interpolate_gaps(time, columns).reshape(positions.shape)
     return np.where(np.isnan(positions).all(axis=0), np.nan, bridged)
@@ -104,10 +100,7 @@ class SavitzkyGolay(WholeTake):
 
 
 def measurement_variance(reliability: Array) -> Array:
-    """Return the variance of a coordinate [m^2] by the joint's reliability.
-
-    The standard deviation changes geometrically between the two noise constants.
-    """
+    """Return a coordinate's variance [m^2], geometric in the joint's reliability."""
     deviation = LOST_NOISE ** (1.0 - reliability) * SENSOR_NOISE**reliability
     return np.asarray(deviation**2)
 
@@ -168,10 +161,7 @@ class BoneWalk:
         self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
 
     def measure(self, postures: Array) -> tuple[Array, Array]:
-        """Return the bones' directions (..., S, 3) and lengths [m] (..., S).
-
-        A bone of zero length gets its direction in the rest pose.
-        """
+        """Return the bones' directions (..., S, 3), and lengths [m] (..., S)."""
         bones = postures[..., self._ends, :] - postures[..., self._starts, :]
         lengths = np.sqrt(np.sum(bones * bones, axis=-1))
         valid = (lengths > 1e-6)[..., None]

@@ -116,10 +116,7 @@ def ridge_weights(
     simulated: list[Person],
     steps: Iterator[int],
 ) -> Array:
-    """Return the weights that all people share, with random effects marginalized.
-
-    The mean offset of all people has been subtracted; ``steps`` advances per person.
-    """
+    """Return the weights that all people share, with random effects marginalized."""
     size = random.size + 1
     information = np.zeros((size, size), dtype=np.float32, order="F")
     products = np.zeros((size, recorded[0].offsets.shape[1]))

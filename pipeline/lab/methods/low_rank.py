@@ -30,10 +30,7 @@ class Decomposition:
 
 
 def threshold_singular_values(matrix: Array, threshold: float) -> Array:
-    """Return the matrix with its singular values lowered by a threshold, down to 0.
-
-    Operator M of eq. 6, by the N x N Gram matrix of the tall matrix (M, N).
-    """
+    """Return a tall matrix with lower singular values, down to 0 (M of eq. 6)."""
     squares, right = np.linalg.eigh(matrix.T @ matrix)
     values = np.sqrt(np.maximum(squares, 0.0))
     kept = values > threshold

@@ -91,11 +91,7 @@ class TrainingFrames:
         *,
         least_reliability: float = 0.0,
     ) -> Self:
-        """Draw at most ``samples`` frames at random.
-
-        Every learned joint has at least ``least_reliability`` in them. Raises an
-        InputError if such frames are too few, or of another skeleton.
-        """
+        """Draw frames of reliable learned joints at random; InputError if too few."""
         if training.skeleton != skeleton:
             raise InputError(
                 f"{training.source}: pairs of {training.skeleton.name}, but the model "

@@ -80,10 +80,7 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return FRAME_TIME if before is None else time - before
 
     def _square_errors(self, positions: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return mean squares of noise along an axis and length errors [m^2], (J,).
-
-        The means begin as means of all values so far, then forget exponentially.
-        """
+        """Return mean squares of noise along an axis and length errors [m^2], (J,)."""
         root = self.skeleton.root
         relative = positions - positions[root]
         relative[root] = positions[root]

@@ -79,10 +79,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
-    """Run a study, or with ``quick`` a small part of it; its figures then mean little.
-
-    Raises an InputError if the study is unknown, or if recordings are missing.
-    """
+    """Run a study, or a ``quick`` part of it; InputError if unknown or without data."""
     check_names([name])
     run, sizes = STUDIES[name]
     return run(options, **(sizes if quick else {}))

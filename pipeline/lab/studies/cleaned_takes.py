@@ -118,10 +118,7 @@ def _beyond(clip: Clip) -> float:
 
 
 def _off(take: Take, positions: Array, truth: Array | None, before: int = 0) -> float:
-    """Return how far hands point off their true direction [degrees]; NaN if unknown.
-
-    With ``before``, hands are taken to point as the bone so many bones before them.
-    """
+    """Return how far hands, or bones some ``before``, point off the truth [degrees]."""
     if truth is None:
         return np.nan
     parts = [take.skeleton.sides(part) for part in ("Hand", "Wrist", "Elbow")]

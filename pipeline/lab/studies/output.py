@@ -48,10 +48,7 @@ _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 
 
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
-    """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
-
-    Raises an InputError if the folder cannot be created, or without matplotlib.
-    """
+    """Write ``NAME.csv`` and ``NAME.png``, or InputError; return their paths."""
     make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"
     with atomic_path(table) as new_table, atomic_path(plot) as new_plot:
@@ -137,10 +134,7 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
 def make_pictures(
     folder: Path, *, data: Path | None = None, progress: Progress = silent
 ) -> Iterator[str]:
-    """Make README's animations in an existing folder, and yield a line on each result.
-
-    They need OpenGL, and that of a hidden arm also recordings.
-    """
+    """Make README's animations (OpenGL, recordings), and yield a line on each."""
     path = folder / "raw_beside_cleaned.gif"
     try:
         _animate(clean(read_take(SAMPLE)).clip, path, progress, compare=SAMPLE)

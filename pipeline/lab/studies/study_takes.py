@@ -66,10 +66,7 @@ def first_person(seed: int, *, learners: bool = False) -> int:
 
 
 def study_takes(kind: str, options: Options, *, count: int = 12) -> list[PairedTake]:
-    """Return takes of a class with their ground truth, each of a different person.
-
-    The truth has the person's own proportions. Fewer than 12 are spread over the class.
-    """
+    """Return takes of a class with their ground truth, each of a different person."""
     settings = CLASSES[kind]
     first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
     chosen = [k * len(settings) // count for k in range(min(count, len(settings)))]

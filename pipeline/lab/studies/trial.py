@@ -37,21 +37,14 @@ class Group:
         return Accuracy(self.tests[0].take.skeleton)
 
     def runners(self, presets: Sequence[str]) -> list[Callable[[Take], Array]]:
-        """Return functions from a take to joint positions [m].
-
-        The first returns the raw positions, the others are those of the presets.
-        """
+        """Return functions from a take to joints [m]: raw, then the presets'."""
         runners: list[Callable[[Take], Array]] = [lambda take: take.positions]
         for system in systems_of((), presets):
             runners.append(correction(system.config, self.trainer.corrector(system)))
         return runners
 
     def error(self, preset: str | None) -> list[Array]:
-        """Return distances of limb joints [m] (Liu eq. 23-25) for each take.
-
-        They are relative to the middle of the hips, at the person's own segment
-        lengths; without a preset, those of the raw take.
-        """
+        """Return distances of limb joints [m] (Liu eq. 23-25); None: raw."""
         run = self.runners([preset] if preset else [])[-1]
         return [self.accuracy.distances(run(p.take), p.truth) for p in self.tests]
 
