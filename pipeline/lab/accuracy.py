@@ -41,7 +41,7 @@ class Accuracy:
         return self.distances(self._standard(positions), self._standard(truth))
 
     def varying(self, positions: Array, truth: Array) -> Array:
-        """Return E_var [m], without each joint's constant offset, (T, 12)."""
+        """Return E_var [m], less each joint's constant offset, (T, 12)."""
         away = self.away(positions, truth)
         return np.asarray(np.linalg.norm(away - mean_of_known(away), axis=2))
 
@@ -54,7 +54,7 @@ class Accuracy:
         return np.asarray((positions - middle)[:, self.limbs])
 
     def _standard(self, positions: Array) -> Array:
-        """Give bones standard lengths; the trunk is one, as mocap may lack a spine."""
+        """Give bones standard lengths; the trunk is one, for mocap without a spine."""
         skeleton = self.skeleton
         standard = np.full_like(positions, np.nan)
         standard[:, skeleton.root] = 0.0
@@ -75,7 +75,7 @@ def mean_of_known(values: Array) -> Array:
 
 
 def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
-    """Return the percentages of known errors below 1 and 1.96 uncertainties, or None."""
+    """Return percentages of known errors below 1 and 1.96 uncertainties, or None."""
     known = ratios[~np.isnan(ratios)]
     if not known.size:
         return None

@@ -128,6 +128,5 @@ def teach(
 
 @cache
 def _simulated(skeleton: Skeleton, people: int) -> TrainingSet | None:
-    if not people:
-        return None
-    return training_set(simulated_pairs(skeleton.name, people=people))
+    pairs = simulated_pairs(skeleton.name, people=people)
+    return training_set(pairs) if pairs else None

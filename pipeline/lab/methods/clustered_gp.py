@@ -13,7 +13,7 @@ from scipy.linalg import cho_solve, cholesky
 from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
@@ -76,8 +76,10 @@ class ClusteredGP(Learner):
             # Section 3.3 clusters the mocap; the Kinect data gets the same clusters.
             clusters = KMeans(count, n_init=1, random_state=self.seed)
             labels = clusters.fit_predict(self._features(targets))
-            rows = _cluster_means(self._features(inputs), labels)
-            outputs = _cluster_means(outputs, labels)
+            members = [labels == q for q in np.unique(labels)]
+            inputs = self._features(inputs)
+            rows = np.array([inputs[own].mean(axis=0) for own in members])
+            outputs = np.array([outputs[own].mean(axis=0) for own in members])
         # Single precision, as in a model file, so that saving changes nothing.
         self.rows_ = rows.astype(np.float32)
         for _ in progress("process", 1):
@@ -147,10 +149,3 @@ class ClusteredGP(Learner):
         explained = float(covariance @ (self._inverse @ covariance))
         most = max(self.kernel.prior - self._certain, 1e-12)
         return predicted, float(np.clip(explained / most, 0.0, 1.0))
-
-
-def _cluster_means(values: Array, labels: Indices) -> Array:
-    used, labels, sizes = np.unique(labels, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(used), values.shape[1]))
-    np.add.at(sums, labels, values)
-    return np.asarray(sums / sizes[:, None])

@@ -9,6 +9,7 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
 from kinefilter.pipeline.correct.interface import measured_only
 from kinefilter.pipeline.merge.lag import interpolate_gaps
@@ -31,11 +32,6 @@ def bridge_gaps(time: Array, positions: Array) -> Array:
     columns = positions.reshape(len(positions), -1)
     bridged = interpolate_gaps(time, columns).reshape(positions.shape)
     return np.where(np.isnan(positions).all(axis=0), np.nan, bridged)
-
-
-def _rate(time: Array) -> float:
-    """Return the median frame rate [Hz], 0 for a single frame."""
-    return 1.0 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
 @dataclass
@@ -70,7 +66,8 @@ class Butterworth(WholeTake):
     order: int = 2  # order of one pass
 
     def _filtered(self, take: Observation) -> Array:
-        bridged, rate = bridge_gaps(take.time, take.positions), _rate(take.time)
+        bridged = bridge_gaps(take.time, take.positions)
+        rate = frames_per_second(take.time)
         padding = 3 * (self.order + 1)
         if len(bridged) <= padding or 2.0 * self.cutoff >= rate:
             return bridged
@@ -92,7 +89,7 @@ class SavitzkyGolay(WholeTake):
 
     def _filtered(self, take: Observation) -> Array:
         bridged = bridge_gaps(take.time, take.positions)
-        window = 2 * int(self.window_seconds * _rate(take.time) / 2.0) + 1
+        window = 2 * int(self.window_seconds * frames_per_second(take.time) / 2.0) + 1
         if len(bridged) < window or window <= self.order + 1:
             return bridged
         smooth = savgol_filter(np.nan_to_num(bridged), window, self.order, axis=0)

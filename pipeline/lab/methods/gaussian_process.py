@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, qr_delete, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from kinefilter.characters.arrays import Array, Indices
@@ -156,12 +156,6 @@ def grow_inverse(inverse: Array, factor: Array) -> Array:
     return grown
 
 
-def shrink_factor(factor: Array, k: int) -> Array:
-    """Return the upper Cholesky factor of K without sample k, in O(S^2)."""
-    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
-    return np.asarray(triangle[:-1])
-
-
 def shrink_inverse(inverse: Array, k: int) -> Array:
     """Return the inverse of K without sample k, in O(S^2)."""
     rest = np.delete(np.arange(len(inverse)), k)
@@ -170,22 +164,14 @@ def shrink_inverse(inverse: Array, k: int) -> Array:
     return np.asarray(smaller)
 
 
-def divergences(inverse: Array, targets: Array, noise: float) -> Array:
-    """Return the information that each sample adds to the others (Liu eq. 1, 2), (N,).
-
-    That is the KL divergence of the prediction at the sample by all samples from that
-    by the others alone. ``inverse`` (N, N) is that of the covariance of the noisy
-    samples [1/m^2], ``targets`` (N, P) [m] their outputs, ``noise`` its variance [m^2].
-    """
-    # Leave-one-out (Rasmussen & Williams 2006, eq. 5.12), noise included.
-    return divergence_of(1.0 / np.diag(inverse), inverse @ targets, noise)
-
-
 def divergence_of(alone: Array, alpha: Array, noise: float) -> Array:
-    """Return the information that samples add to the others, shape (N,).
+    """Return the information that samples add to the others (Liu eq. 1, 2), (N,).
 
-    ``alone`` (N,) is the variance [m^2] of the others' prediction, noise included,
-    ``alpha`` (N, P) the deviation from that prediction over that variance.
+    That is the KL divergence of the prediction at a sample by all samples from that by
+    the others alone. ``alone`` (N,) is the variance [m^2] of the others' prediction,
+    noise included, ``alpha`` (N, P) the deviation from that prediction over that
+    variance; with K the covariance of the samples, 1 / diag(K^-1) and K^-1 y
+    (leave-one-out, Rasmussen & Williams 2006, eq. 5.12).
     """
     within = 2.0 * noise - noise**2 / alone
     apart = alpha * (alone - noise)[:, None]
@@ -208,7 +194,8 @@ def informative_samples(
     kept = np.arange(len(matrix))
     inverse = np.asarray(np.linalg.inv(matrix))
     while len(kept) > 1:
-        divergence = divergences(inverse, targets[kept], noise)
+        alone, alpha = 1.0 / np.diag(inverse), inverse @ targets[kept]
+        divergence = divergence_of(alone, alpha, noise)
         least = int(np.argmin(divergence))
         if len(kept) <= most and divergence[least] >= redundancy:
             break

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, qr_delete
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
@@ -242,12 +242,13 @@ class LocalModels:
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
         if n == most:
-            least = int(gp.divergences(inverse, offsets, kernel.noise).argmin())
+            alone, alpha = 1.0 / np.diag(inverse), inverse @ offsets
+            least = int(gp.divergence_of(alone, alpha, kernel.noise).argmin())
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
             inverse = gp.shrink_inverse(inverse, least)
-            factor = gp.shrink_factor(factor, least)
+            factor = qr_delete(np.eye(n + 1), factor, least, which="col")[1][:-1]
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n

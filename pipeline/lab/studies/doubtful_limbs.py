@@ -95,20 +95,16 @@ def _errors_on(
 ) -> Errors:
     trainer, prior = CorrectorFactory(train), train_prior_on(train)
     none = _cleaned(CleanConfig("none", physics=False), None, prior)
-    runners: dict[str, Runner] = {"raw": _raw, "none": none}
+    raw = _unleveled(lambda take: Hold(take.skeleton).fill(take.positions))
+    runners: dict[str, Runner] = {"raw": raw, "none": none}
     for system in systems:
         corrector = trainer.corrector(system)
         runners[system.label] = (
             _cleaned(system.config, corrector, prior)
             if whole
-            else partial(_unleveled, correction(system.config, corrector))
+            else _unleveled(correction(system.config, corrector))
         )
     return {name: _means(test, run, guesses) for name, run in runners.items()}
-
-
-def _raw(take: Take) -> tuple[Array, Turn]:
-    """Return a take's joints, with missing ones on their last bones, not leveled."""
-    return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
 
 
 def _cleaned(
@@ -123,8 +119,8 @@ def _cleaned(
     return run
 
 
-def _unleveled(run: Callable[[Take], Array], take: Take) -> tuple[Array, Turn]:
-    return run(take), (0.0, 0.0)
+def _unleveled(run: Callable[[Take], Array]) -> Runner:
+    return lambda take: (run(take), (0.0, 0.0))
 
 
 def _means(
