@@ -132,7 +132,6 @@ def _time_stages(take: Take) -> dict[str, Any]:
 
 
 def _time_avatar(take: Take, body: Body) -> float:
-    """Return the time per frame of the live character [ms], checks included."""
     avatar, times = Avatar(body), []
     for k in range(len(take)):
         start = perf_counter()

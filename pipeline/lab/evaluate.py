@@ -119,7 +119,6 @@ def _test(
     trained: Sequence[tuple[System, Corrector]],
     progress: Progress,
 ) -> dict[str, Tally]:
-    """Return the results of each system; many clips are shared among all cores."""
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
         return {s.label: tally_clips(pairs, c, s.config, progress) for s, c in trained}

@@ -140,7 +140,6 @@ def _folds(
     pool: Executor,
     progress: Progress,
 ) -> Iterator[tuple[list[Case], list[_Trained]]]:
-    """Yield takes, and the systems that are to clean them."""
     learning = [system for system in systems if system.learns or recordings]
     yield cases, [_Trained(system) for system in systems if system not in learning]
     people = sorted({pair.subject for pair in pairs}) if learning else []
@@ -174,7 +173,6 @@ def _folds(
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
-    """Return the length in frames of a gap in a clip of ``count`` frames."""
     percent, number = gap.endswith("%"), gap.removesuffix("%")
     valid = re.fullmatch(r"\d{0,4}\.?\d{1,9}", number)
     if not valid or (percent and float(number) >= 100):
@@ -289,7 +287,6 @@ def _measure(
 
 
 def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
-    """Return mean distances [cm], None if the truth is unknown."""
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}

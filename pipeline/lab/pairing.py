@@ -149,7 +149,6 @@ def _check_alike(takes: Sequence[Take]) -> None:
 
 
 def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
-    """Find lag and drift; raise an InputError if the recordings do not match."""
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
     time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
@@ -237,7 +236,6 @@ def changed_bones(positions: Array, skeleton: Skeleton) -> Flags:
 
 
 def _placed(matches: Sequence[_Match]) -> Placement:
-    """Return the transform from the mocap of all matches to their takes."""
     skeleton = matches[0].take.skeleton
     used = [*(skeleton.index(joint) for joint in LIMBS), skeleton.girdle]
     knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
@@ -274,7 +272,6 @@ def _explained(match: _Match, placed: Placement) -> float:
 
 
 def _median(values: Array) -> Array:
-    """Return each joint's median over frames, NaN if it is always missing, (J, 3)."""
     return column_medians(values.reshape(len(values), -1)).reshape(values.shape[1:])
 
 

@@ -201,7 +201,6 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def _agreement(answers: Sequence[Answer]) -> Figures:
-    """Return how consistently a rater answered the trials that came twice."""
     first: dict[tuple[int, ...], dict[int, int]] = {}
     twice = reversals = 0
     apart = []

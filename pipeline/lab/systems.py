@@ -150,7 +150,6 @@ class CorrectorFactory:
     def _trained(
         self, config: CleanConfig, name: str, settings: dict[str, Any]
     ) -> LearnedCorrector:
-        """Return a trained method; settings that do not affect training share one."""
         scoring = (config.scoring, config.preset is None, config.parameters.scorer)
         lessons_key = str(scoring)
         if lessons_key not in self._lessons:

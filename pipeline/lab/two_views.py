@@ -87,7 +87,6 @@ def compare_views(
 def _train_by_person(
     sessions: Sequence[Session], lessons: TrainingSet, progress: Progress
 ) -> dict[str, LearnedCorrector]:
-    """Return for each person a method that was not trained on them."""
     people = sorted({session.person for session in sessions})
     trained: dict[str, LearnedCorrector] = {}
     for k in range(min(_FOLDS, len(people))):
@@ -173,7 +172,6 @@ def _median(values: Array) -> float | None:
 
 
 def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
-    """Return the area under ROC of wrong joints, in all frames and in sure ones."""
     wrong, doubt, sure = (np.concatenate(part) for part in zip(*joints, strict=True))
     areas: dict[str, float | None] = {}
     for name, some in (("all", np.ones_like(sure)), ("sure", sure)):

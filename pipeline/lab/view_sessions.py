@@ -116,7 +116,6 @@ def read_views(session: Session) -> Views:
 
 
 def _matched(session: Session, first: Take, second: Take) -> list[NDArray[np.intp]]:
-    """Return the frames of both takes that were the latest at the same tick."""
     try:
         lines = session.sync.read_text("utf-8").splitlines()[1:]
         cells = [line.split(",")[1:3] for line in lines]

@@ -300,7 +300,6 @@ def _between(hands: Hands, radius: float) -> Array:
 
 
 def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
-    """Have the ball lie on the floor where it will be grasped."""
     if taken == 0:
         return
     place = np.array([*path[taken, :2], radius])
@@ -319,7 +318,6 @@ def _release_velocity(hands: Hands, touch: Contact) -> Array:
 
 
 def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -> None:
-    """Fill in the flight from the end of a contact to the frame of the next catch."""
     flight = slice(touch.end, catch + 1)
     time = hands.time[flight] - hands.time[touch.end]
     start, end = path[touch.end].copy(), path[catch].copy()

@@ -76,7 +76,6 @@ def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
 
 
 def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
-    """Return the end joints of parts an arm must clear, and its share of the way."""
     trunk = skeleton.ancestors(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
     other = [skeleton.index(part + SIDES[1 - side]) for part in ("Elbow", *_FOREARM)]

@@ -212,7 +212,6 @@ def _swing_arms(
 
 
 def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
-    """Hold a box in front of the body, or a bag in one hand."""
     if rng.random() < 0.3:
         return pose.with_arm(int(rng.integers(2)), puppet.arm(0.2, 0.1, 0.2, 0.1))
     goal = (rng.uniform(0.12, 0.2), rng.uniform(-0.42, -0.12), rng.uniform(0.25, 0.36))

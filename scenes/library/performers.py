@@ -122,7 +122,6 @@ def perform(
 
 
 def _varied(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
-    """Vary a stance: the way the arms hang and, in some motions, one foot in front."""
     u = rng.uniform
     for side in (LEFT, RIGHT):
         arm = puppet.arm(u(0.1, 0.3), u(-1.0, 0.9), u(0.0, 0.7), u(0.1, 0.6))
@@ -172,8 +171,6 @@ def _motion(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
 
 
 def _swaying(pose: Pose, time: Array, rng: Rng) -> Pose:
-    """Add the small sway of a living body to everything except the feet."""
-
     def sway(*shape: int) -> Array:
         weights = rng.normal(0.0, 0.6, (3, *shape))
         phases = rng.uniform(0.0, 2.0 * np.pi, (3, *shape))

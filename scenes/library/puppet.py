@@ -304,7 +304,6 @@ def _collarbone_angles(along: Array) -> tuple[Array, Array]:
 
 
 def _collarbone_end(along: Array) -> Array:
-    """Return the unit vector along the left collarbone for an upper arm, (..., 3)."""
     lift, forward = _collarbone_angles(along)
     flat = np.cos(lift)
     parts = (flat * np.cos(forward), np.sin(lift), flat * np.sin(forward))

@@ -165,7 +165,6 @@ _LEGS = ("front", "side", "back", "passe")
 
 
 def _danced(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
-    """Put the arms in one of the positions; the trunk follows."""
     arms = _PORT_DE_BRAS[int(rng.integers(len(_PORT_DE_BRAS)))]
     first = int(rng.integers(2))
     for side, angles in ((first, arms[0]), (1 - first, arms[1])):

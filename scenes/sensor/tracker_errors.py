@@ -175,7 +175,6 @@ def with_position_errors(
 
 
 def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
-    """Offsets due to the tracker's definition of joints [m], (T, J, 3)."""
     skeleton = motion.skeleton
     offsets = joint_offsets(skeleton)
     own = error_mixing(skeleton) @ person.normal(size=offsets.shape)

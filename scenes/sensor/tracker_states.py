@@ -25,7 +25,6 @@ _FLICKER = 0.1  # of the doubt's variance, independent from frame to frame
 
 
 def _limbs(skeleton: Skeleton) -> list[list[int]]:
-    """Joints of left arm, right arm, left leg, right leg that may be swapped."""
     return [
         [skeleton.index(s + side) for s in stems if s + side in skeleton.joints]
         for stems in (_ARM, _LEG)

@@ -225,7 +225,6 @@ class ConstantLengthKalman(Corrector):
         return self._unseen <= LONGEST_PREDICTION
 
     def _with_lengths(self, posture: Array, tracked: Flags) -> Array:
-        """Return the nearest posture of constant bone lengths, root at the origin."""
         variance = np.where(tracked, self._points.covariance[:, 0, 0], np.inf)
         confidence = np.ones(len(posture))
         if tracked.any():

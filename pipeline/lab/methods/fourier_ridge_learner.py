@@ -216,11 +216,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
         the limbs on the far side of their bodies and their heading. With ``people``,
         each person's own effects in ``training`` are learned, too.
         """
-        if training.skeleton != self.skeleton or training.person is None:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {self.skeleton.name}"
-            )
+        training.check_skeleton(self.skeleton)
         recorded = list(people_in(training, _WEIGHT, _MOST))
         if sum(len(person.features) for person in recorded) < 200:
             raise InputError(
@@ -330,7 +326,6 @@ def _features_of(people: list[Person]) -> Singles:
 def _of_part(
     person: Person, part: Part, columns: Indices, mean: Singles | float
 ) -> Person:
-    """Return a person's frames for one part, less a mean offset [m]."""
     offsets = person.offsets.reshape(len(person.offsets), -1, 3)[:, part.joints]
     offsets = offsets.reshape(len(offsets), -1) - mean
     return replace(person, features=person.features[:, columns], offsets=offsets)

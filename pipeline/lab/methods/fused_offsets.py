@@ -185,7 +185,6 @@ class FusedOffsets(OffsetCorrector):
 
 
 def _mean_square(values: Array) -> Array:
-    """Return the mean square of each joint's coordinates, ignoring NaN, (M,)."""
     present = ~np.isnan(values)
     squares = np.sum(np.where(present, values, 0.0) ** 2, axis=(0, 2))
     return np.asarray(squares / np.maximum(present.sum(axis=(0, 2)), 1))

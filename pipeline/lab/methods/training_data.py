@@ -37,6 +37,14 @@ class TrainingSet:
     def __len__(self) -> int:
         return len(self.positions)
 
+    def check_skeleton(self, skeleton: Skeleton) -> None:
+        """Raise an InputError if the frames are not of the skeleton of a model."""
+        if self.skeleton != skeleton:
+            raise InputError(
+                f"{self.source}: pairs of {self.skeleton.name}, but the model is for "
+                f"{skeleton.name}"
+            )
+
 
 class Learner(LearnedCorrector, ABC):
     """A correction method that can be trained."""
@@ -92,11 +100,7 @@ class TrainingFrames:
         least_reliability: float = 0.0,
     ) -> Self:
         """Draw frames of reliable learned joints at random; InputError if too few."""
-        if training.skeleton != skeleton:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {skeleton.name}"
-            )
+        training.check_skeleton(skeleton)
         counts = np.zeros((2, len(skeleton)))
         for block in chunks(len(training), _BLOCK):
             measured = ~np.isnan(training.positions[block, :, 0])

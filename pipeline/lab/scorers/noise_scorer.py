@@ -72,7 +72,6 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return self._tracked * reliability, term.astype(np.uint8), geometry
 
     def _elapsed(self, time: float | None) -> float:
-        """Return the time since the last frame [s], and store this frame's."""
         before = self._time
         if time is None:
             time = 0.0 if before is None else before + FRAME_TIME

@@ -98,7 +98,6 @@ def _figures(
 
 
 def _bent(positions: Array, skeleton: Skeleton) -> float:
-    """Return the share of seen hands that the wrist bends by over 60 degrees [%]."""
     elbows, wrists, hands = (
         positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
     )

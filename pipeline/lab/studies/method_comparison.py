@@ -93,7 +93,6 @@ def _errors(figures: dict[str, Any]) -> dict[str, _People]:
 
 
 def _study(title: str, errors: dict[str, _People]) -> Study:
-    """Return errors, and their changes relative to raw: means and worst person."""
     by_method = {
         method: np.array(
             [[found[person][key] for key in _ERRORS] for person in errors["raw"]]

@@ -119,7 +119,6 @@ def _draw_panel(panel: Panel, axis: Axes) -> None:
 
 
 def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> None:
-    """Draw bar number ``k`` out of ``count`` in every group."""
     groups = np.arange(len(series.x), dtype=float)
     width = _BARS / count
     centers = groups + (k - (count - 1) / 2.0) * width

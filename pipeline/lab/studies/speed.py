@@ -93,7 +93,6 @@ def million_postures(
 
 
 def _postures(people: int, progress: Progress) -> Postures:
-    """Return the postures [m] of some people in random order, shape (N, J, 3)."""
     spool = Spool(np.float32)
     for _, positions, _ in scripted_postures(KINECT_V1, progress, people=people):
         spool.add(positions)
@@ -102,7 +101,6 @@ def _postures(people: int, progress: Progress) -> Postures:
 
 
 def _queries(first: int) -> list[_Query]:
-    """Return what a simulated Kinect v1 sees of people who are not in the database."""
     queries: list[_Query] = []
     for k, motion in enumerate(_MOTIONS):
         draft = standardized(simulate("basic", motion, sensor="v1", seed=first + k))
@@ -111,7 +109,6 @@ def _queries(first: int) -> list[_Query]:
 
 
 def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
-    """Return a search by one matrix product with all postures, then the smallest."""
     squares = np.sum(postures**2, axis=2)
     flat = postures.reshape(len(postures), -1)
     products = np.concatenate([squares, -2.0 * flat], axis=1)
@@ -129,7 +126,6 @@ def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
 def _milliseconds(
     find: Callable[[_Query], object], queries: Sequence[_Query]
 ) -> list[float]:
-    """Return the median and the 99th percentile of the queries' times [ms]."""
     times = np.empty((_REPEATS, len(queries)))
     for repeat in range(_REPEATS):
         for k, query in enumerate(queries):

@@ -80,7 +80,6 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
 
 
 def _acts(options: Options, clips: int) -> list[Pair]:
-    """Return movements in front of the sensor, with the recordings if there are any."""
     if options.data is not None:
         files = [options.data / "ui-prmd" / f"{person}.npz" for person in _TEST_PEOPLE]
         return [p for file in files for p in pairs_of(file, max(_CLIPS // clips, 1))]
@@ -93,7 +92,6 @@ def _acts(options: Options, clips: int) -> list[Pair]:
 
 
 def _error(pair: Pair) -> Array:
-    """Return errors relative to the middle of the hips [m], shape (T, J, 3)."""
     error = pair.error
     return np.asarray(error - error[:, KINECT_V1.hips].mean(axis=1, keepdims=True))
 
@@ -205,7 +203,6 @@ def _without_offsets(pair: PairedTake) -> PairedTake:
 def _train_and_test(
     pairs: list[PairedTake], simulated: list[PairedTake], test: list[PairedTake]
 ) -> tuple[float, float]:
-    """Return E and E_var [cm] after training on pairs; without any, uncorrected."""
     skeleton = test[0].take.skeleton
     config = CleanConfig("learned" if pairs else "none", physics=False)
     if pairs:
