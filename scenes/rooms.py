@@ -40,7 +40,10 @@ def load_scene(
     path = _path(scene)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        _resolve_assets(spec, path)
+        if any(asset.file for asset in (*spec.meshes, *spec.hfields, *spec.skins)):
+            spec.meshdir = str((path.parent / spec.meshdir).resolve())
+        if any(texture.file or any(texture.cubefiles) for texture in spec.textures):
+            spec.texturedir = str((path.parent / spec.texturedir).resolve())
         if body is not None:
             bodies = [body] if isinstance(body, Body) else body
             spec = _merged(build_humanoids(bodies, tracking), spec)
@@ -92,13 +95,6 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
     text = str(character.to_xml())
     text = text.replace(f'class="{_PREFIX}main"', 'class="main:scene"')
     return mujoco.MjSpec.from_string(text.replace(_PREFIX, ""))
-
-
-def _resolve_assets(scene: mujoco.MjSpec, path: Path) -> None:
-    if any(a.file for a in (*scene.meshes, *scene.hfields, *scene.skins)):
-        scene.meshdir = str((path.parent / scene.meshdir).resolve())
-    if any(texture.file or any(texture.cubefiles) for texture in scene.textures):
-        scene.texturedir = str((path.parent / scene.texturedir).resolve())
 
 
 def _move_floor(scene: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:

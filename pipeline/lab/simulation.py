@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, Body, InputError, Motion, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import SKELETONS, Body, Motion, State, Take
+from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.merge.lag import Clock
 from kinefilter.pipeline.pairs import PairedTake
@@ -64,8 +64,7 @@ def simulate(
     takes behind the embedded weights and the published figures. Raises an InputError if
     the scene, motion, sensor, skeleton or tracker is unknown.
     """
-    if sensor not in SENSORS:
-        raise InputError(f"unknown name {sensor!r}; known: {', '.join(SENSORS)}")
+    check_choice(sensor, SENSORS, "name")
     room = load_scene(scene)
     person = seed if person is None else person
     joints = SKELETONS[skeleton or _SKELETON[sensor]]

@@ -142,8 +142,7 @@ class CorrectorFactory:
         if name == "default":  # exactly as in clean
             return make_corrector(self._skeleton, CleanConfig())
         method = METHODS[name]
-        of_skeleton = method.requires == "skeleton"
-        basis = self._skeleton if of_skeleton else self._database
+        basis = self._skeleton if method.requires == "skeleton" else self._database
         corrector: Corrector = method.make(basis, **settings)
         return corrector
 

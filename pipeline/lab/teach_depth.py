@@ -19,7 +19,7 @@ import tyro
 from numpy.typing import NDArray
 
 from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
-from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
@@ -83,9 +83,7 @@ class Shot(NamedTuple):
     joints: Array
     body: Body
 
-    def labels(
-        self, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.intp]:
+    def labels(self, rows: Indices, columns: Indices) -> Indices:
         """Return the true body part of pixels, (N,)."""
         points = self.image.points(rows, columns)
         segments = self.image.segments[rows, columns]

@@ -11,12 +11,12 @@ from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.characters.arrays import Array, runs
+from kinefilter.characters.arrays import Array, Indices, runs
 
 from .performer_hands import Hands, fading
 from .poses import LEFT, RIGHT
@@ -232,11 +232,7 @@ def _stroke(
 
 
 def _best_flight(
-    hands: Hands,
-    release: NDArray[np.int64],
-    catch: NDArray[np.int64],
-    pair: tuple[int, int],
-    radius: float,
+    hands: Hands, release: Indices, catch: Indices, pair: tuple[int, int], radius: float
 ) -> tuple[int, int | None]:
     """Return the release and the catch, if any, of the best flight with a bounce."""
     before, after = np.meshgrid(release, catch, indexing="ij")

@@ -70,7 +70,10 @@ def with_guesses(
     frame = np.arange(len(state))
     jumps = errors.jump * rng.normal(size=placed.shape)
     positions = placed.copy()
-    usual = _usual_offsets(motion)
+    arm, body = np.isin(skeleton.kinds, _ARM), motion.body
+    usual = body.rest_offsets.copy()  # joints relative to their parents, arms down
+    usual[arm] = body.lengths[arm, None] * [0.0, -1.0, 0.0]
+    usual = rotate(motion.rotations[:, skeleton.root, None], usual)
     for j, parent in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         tracked = state[:, j] == State.TRACKED
         last = np.maximum.accumulate(np.where(tracked, frame, -1))
@@ -91,15 +94,6 @@ def _between(start: Array, end: Array, share: Array) -> Array:
     mixed = start + share * (end - start)
     norm = np.linalg.norm(mixed, axis=-1, keepdims=True)
     return np.asarray(mixed * length / np.maximum(norm, 1e-6))
-
-
-def _usual_offsets(motion: Motion) -> Array:
-    """Joints relative to their parents in a person who stands, arms down [m]."""
-    body = motion.body
-    usual = body.rest_offsets.copy()
-    arm = np.isin(body.skeleton.kinds, _ARM)
-    usual[arm] = body.lengths[arm, None] * [0.0, -1.0, 0.0]
-    return rotate(motion.rotations[:, body.skeleton.root, None], usual)
 
 
 def swapped_joints(
