@@ -1,8 +1,4 @@
-"""Errors of reconstructed limbs that were hidden in recorded takes.
-
-They are relative to the take cleaned with nothing hidden, and to marker mocap; simple
-guesses serve as baselines.
-"""
+"""Errors of limbs hidden in recorded takes, beside mocap and simple guesses."""
 
 import re
 import zlib

@@ -1,8 +1,7 @@
 """Finds the lag and drift between a take and mocap of the same movement.
 
-Distances between joints do not depend on the frame of reference, so they give the lag
-before the recordings are aligned in space. Their correlation is maximized on a grid;
-then the lag is refined by minimizing the motion that one rigid transform leaves.
+Distances between joints, which need no common frame of reference, are correlated on a
+grid; then the lag is refined by minimizing the motion that a rigid transform leaves.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """Trains the prior for hidden limbs on recordings in which the limbs were visible.
 
 ``python -m kinefilter.pipeline.lab.limb_lessons OUT.npz RECORDINGS...`` writes the
-weights of ``reconstruct.prior``. Recordings are pairs files, takes, or mocap in BVH; in
-each, limbs are treated as hidden for random intervals, and as unseen throughout. It
+weights of ``reconstruct.prior``; recordings are pairs files, takes, or mocap in BVH. It
 then prints, for each person and each third of the movements in the pairs, the errors of
 networks trained without them, in percent of the errors without networks.
 """

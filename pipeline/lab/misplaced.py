@@ -1,10 +1,9 @@
 """Scores how likely a limb's joint is far from where the sensor places it.
 
-A sensor still reports a limb that it does not see: hanging, frozen, drifting or jumping
-between two guesses. A logistic regression recognizes this from the limb's motion and
-from the sensor's view. It was trained on people in front of two sensors, of which the
-frontal one showed which joints of the side-on one were off by more than 12 cm. The
-scores rank joints and are not calibrated. No stage of cleaning uses them.
+A logistic regression recognizes limbs that the sensor guesses from their motion and the
+sensor's view. It was trained on people in front of two sensors, of which the frontal
+one showed which joints of the side-on one were off by more than 12 cm. The scores rank
+joints and are not calibrated. No stage of cleaning uses them.
 """
 
 import tomllib

@@ -1,9 +1,8 @@
 """Pairs Kinect takes with marker mocap of the same movement.
 
-A take and its mocap share nothing but the movement: each has its own clock, frame rate
-and axes. First the lag is found (``lags``), then one rigid transform from the mocap's
-joints to the take's. All takes of a session share that transform, because neither the
-sensor nor the mocap system moved; they also share the clock offset if their lags agree.
+Each has its own clock, frame rate and axes. First the lag is found (``lags``), then one
+rigid transform from the mocap's joints to the take's. All takes of a session share it,
+and the clock offset if their lags agree.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,8 @@
 """A web page for blind grading of clips made by different systems.
 
-Follows the user study of Shum et al. 2013 (Section V-B, Figure 6), in which 27 people
-watched the video of a person and then the characters of three methods one after
-another, and graded from 1 to 9 how accurate each was. Here a stick figure replaces the
-video, and by default two systems are shown side by side.
+After the user study of Shum et al. 2013 (Section V-B, Figure 6), in which 27 people
+graded from 1 to 9 how accurate the characters of three methods were. Here a stick
+figure replaces the person's video, and by default two systems are side by side.
 """
 
 import hashlib

@@ -1,9 +1,8 @@
 """Statistics of the grades that raters gave on a page of ``rating``.
 
-Shum et al. 2013 (Figure 6) print means and standard deviations, and say "significantly"
-without naming a test. Here every two systems are compared by Wilcoxon's signed-rank
-test, because all raters grade both and grades need not be normal; p-values are
-corrected after Holm 1979 (Scandinavian Journal of Statistics 6).
+Shum et al. 2013 (Figure 6) name no test. Here every two systems are compared by
+Wilcoxon's signed-rank test, because all raters grade both and grades need not be
+normal, corrected after Holm 1979 (Scandinavian Journal of Statistics 6).
 """
 
 import json

@@ -1,11 +1,9 @@
 """Trains the forest that finds body parts in depth images, on simulated images.
 
 ``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` rewrites
-``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy; FOLDER holds CMU's
-mocap (BVH). ``--help`` lists the sizes: more people, images and leaves take longer and
-give better results. Half of the images show mocap and half scripted motions, all of
-them performed by simulated people. The accuracy is measured on people and on CMU
-subjects that are not in the training data.
+``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy on people and subjects
+who are not in the training data; FOLDER holds CMU's mocap (BVH). ``--help`` lists the
+sizes. Half of the images show mocap and half scripted motions of simulated people.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,9 +1,8 @@
 """Comparison of a side sensor's limbs with those seen by a sensor in front.
 
-For each session of two sensors (``view_sessions``), one rigid transform over the joints
-of the trunk brings them together. Each joint's constant offset in the heading frame is
-subtracted, because it depends on the direction from which a sensor sees the joint. The
-heading of the trunk is compared as well.
+One rigid transform over the joints of the trunk brings them together. Each joint's
+constant offset in the heading frame is subtracted, because it depends on the direction
+from which a sensor sees the joint. The heading of the trunk is compared as well.
 """
 
 from collections.abc import Sequence

@@ -1,11 +1,8 @@
 """Scripted exercises of physiotherapy, done right and done wrong.
 
-The ten movements of the University of Idaho's set (Vakanski et al. 2018, Data 3(1):2):
-deep squat, hurdle step, inline lunge, side lunge, sit to stand, straight leg raise, and
-the shoulder's abduction, extension, rotation and scaption. In wrong repetitions people
-lean, twist, shift, stop short, let the knees go inward or the arms sink.
-
-The four exercises for lymph flow of Chiang et al. 2017 (IEEE EMBC) follow their names
+The ten movements of the University of Idaho's set (Vakanski et al. 2018, Data 3(1):2),
+in which people lean, twist, shift, stop short, let the knees go inward or the arms
+sink; and the four for lymph flow of Chiang et al. 2017 (IEEE EMBC), after their names
 and the paper's figure 6.
 """
 

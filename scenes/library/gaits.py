@@ -1,8 +1,7 @@
 """Scripted gaits: walking, running, carrying, marching, turning on the spot.
 
-Timing after Winter 1991, The Biomechanics and Motor Control of Human Gait: stance is
-62 % of a walking cycle and about 35 % of a running one. A planted foot stays in place
-while the root passes over it.
+Planted feet stay in place. Timing after Winter 1991, The Biomechanics and Motor Control
+of Human Gait: stance is 62 % of a walking cycle and about 35 % of a running one.
 """
 
 from dataclasses import replace

@@ -1,8 +1,7 @@
 """Motion of a scene's movable props during a performance.
 
-A box is carried while the hands are about its width apart and in front of the body. It
-is lifted where the hands are lowest before they rise, and set down where they are
-lowest before they part.
+A box is carried while the hands are about its width apart and ahead of the body, from
+where they are lowest before they rise to where they are lowest before they part.
 """
 
 from collections.abc import Callable

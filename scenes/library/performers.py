@@ -1,8 +1,7 @@
 """Scripted performers: seeded human motions on any body, with known rotations.
 
-Each motion is a family: the seed determines amplitude, tempo, sides, stance and style,
-and the repetitions within a performance differ. The motions are designed, not recorded;
-ranges of motion are those of healthy adults.
+The seed determines amplitude, tempo, sides, stance and style, and the repetitions
+within a performance differ. The motions are designed, not recorded.
 """
 
 from collections.abc import Sequence

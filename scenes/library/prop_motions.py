@@ -1,7 +1,6 @@
 """Scripted motions with an imaginary object in the hands or under the body.
 
-There is one for each scene of Shum et al. 2013, table II: a box to lift, a flip chart,
-a basketball, a chair, an office desk. The hands are where the object would be.
+There is one for each scene of Shum et al. 2013, table II.
 """
 
 from dataclasses import replace

@@ -1,8 +1,7 @@
 """A body that is posed by anatomical angles and planted feet.
 
-A pose is tilt of the pelvis and spine, direction of the upper arms, flexion of the
-elbows, and places of the feet. The legs follow by two-bone inverse kinematics, so that
-planted soles stay in place. Shoulder angles follow the International Society of
+Trunk and arms are posed by angles; the legs follow by two-bone inverse kinematics, so
+that planted soles stay in place. Shoulder angles follow the International Society of
 Biomechanics (Wu et al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90
 degrees forward), elevation, axial rotation (positive inward).
 """

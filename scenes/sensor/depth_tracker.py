@@ -2,11 +2,9 @@
 
 Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
 CVPR: a forest classifies pixels by body part (``body_part_forest``), mean shift finds
-where a part's skin is densest, and the joint lies a learned distance behind it. The
-area of skin found around a joint decides its state; a joint that is not found keeps its
-position relative to its parent. Two rules, chosen on s02, s03 and s04 of UI-PRMD, keep
-left and right apart: of several candidates, one near the joint's place in the previous
-image is preferred, and segments do not stretch.
+where a part's skin is densest, and the joint lies a learned distance behind it. Two
+rules, chosen on s02, s03 and s04 of UI-PRMD, keep left and right apart: candidates near
+the joint's place in the previous image are preferred, and segments do not stretch.
 """
 
 from collections.abc import Mapping

@@ -1,15 +1,13 @@
 """Position errors of the modeled tracker.
 
-Each error has a cause: the tracker's own definition of joints, surfaces that are partly
-hidden or foreshortened, postures the tracker was not trained on, its wobble, motion
-during the exposure, noise of the depth image, props taken for limbs, and people seen
-from the side.
+They come from the tracker's own definition of joints, surfaces that are partly hidden
+or foreshortened, unfamiliar postures, its wobble, motion during the exposure, noise of
+the depth image, props taken for limbs, and people seen from the side.
 
-A tracker's joints are not anatomical joint centers: each constant offset has one part
-that turns with the segment that ends at the joint and one with the segment that starts
-there. The numbers were fitted by ``tests/calibrate_kinect.py`` to a Kinect v2 beside
-marker mocap (UI-PRMD, Vakanski et al. 2018, Data 3(1)), people s02, s03 and s04, with
-left and right pooled.
+Each constant offset of its joints has one part that turns with the segment that ends at
+the joint and one with the segment that starts there. ``tests/calibrate_kinect.py``
+fitted them to a Kinect v2 beside marker mocap (UI-PRMD, Vakanski et al. 2018, Data
+3(1)), people s02, s03 and s04, with left and right pooled.
 """
 
 from dataclasses import dataclass

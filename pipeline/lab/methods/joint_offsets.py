@@ -1,10 +1,8 @@
 """Offsets of the sensor's joints from the anatomical ones, constant in the body.
 
-Most of a Kinect's error is that its joints lie some centimeters off, always on the same
-side of the limb. Each joint's offset is therefore a weighted sum of six vectors that
-turn with the body: along the segment that ends at the joint, along the one that starts
-there, perpendicular to both, and left, up and forward of the hips. So few weights carry
-over from simulated people to real ones.
+Each is a weighted sum of six vectors that turn with the body: along the segment that
+ends at the joint, along the one that starts there, perpendicular to both, and left, up
+and forward of the hips. So few weights carry over from simulated people to real ones.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,8 @@
 """Reliability learned from simulated people.
 
-A Kinect's errors depend on the posture: a raised elbow is always misplaced in a way
-that a hanging one is not, without noise and with correct segment lengths. A logistic
-regression for each kind of joint predicts from posture, noise, length errors and lost
-tracking how likely the joint is to be far off.
+A Kinect's errors depend on the posture: a raised elbow is always misplaced, without
+noise and with correct segment lengths. A logistic regression for each kind of joint
+predicts from posture, noise, length errors and lost tracking whether it is far off.
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,8 @@
 """The figures of README and of the papers, measured: one table and plot per study.
 
-A study is a function of ``Options`` and sizes that returns a ``Study``; ``STUDIES``
-lists them by name. Studies of the papers use simulated people. Studies of README's
-figures use recordings where there are any, and simulated people otherwise;
-``claims.toml`` lists the figures as README states them, and ``claims`` compares them
-with the measured ones.
+A study is a function of ``Options`` and sizes that returns a ``Study``. Studies of the
+papers use simulated people; those of README's figures use recordings where there are
+any. ``claims.toml`` lists the figures that ``claims`` compares with the measured ones.
 """
 
 import hashlib
