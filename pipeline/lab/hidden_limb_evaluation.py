@@ -119,7 +119,7 @@ def measure_hidden(
     return [record for records in done for record in records], skipped
 
 
-class _Trained(NamedTuple):
+class _Ready(NamedTuple):
     """A system, with a corrector and a prior if they are not the default ones."""
 
     system: System
@@ -135,9 +135,9 @@ def _folds(
     options: HiddenLimbs,
     pool: Executor,
     progress: Progress,
-) -> Iterator[tuple[list[Case], list[_Trained]]]:
+) -> Iterator[tuple[list[Case], list[_Ready]]]:
     learning = [system for system in systems if system.learns or recordings]
-    yield cases, [_Trained(system) for system in systems if system not in learning]
+    yield cases, [_Ready(system) for system in systems if system not in learning]
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
@@ -165,7 +165,7 @@ def _folds(
         prior = train_prior(others, pool) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
-        yield own, [_Trained(*each, prior) for each in ready]
+        yield own, [_Ready(*each, prior) for each in ready]
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
@@ -230,9 +230,7 @@ def _cleaned(
     return positions, None, (0.0, 0.0)
 
 
-def _measure(
-    cases: list[Case], trained: _Trained, options: HiddenLimbs
-) -> list[Record]:
+def _measure(cases: list[Case], trained: _Ready, options: HiddenLimbs) -> list[Record]:
     """Clean takes with a system, once with nothing hidden and once for each limb."""
     system, corrector, prior = trained
     records, method, cleaner = [], system.label, _cleaner(system.config)

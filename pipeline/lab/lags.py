@@ -71,9 +71,7 @@ def refine_lag(take: Track, mocap: Track, clock: Clock) -> Clock:
         return float(np.nanmean(np.log1p(varying / SIGMA**2)))
 
     bounds = (clock.lag - 2.0 / _RATE, clock.lag + 2.0 / _RATE)
-    best = minimize_scalar(
-        cost, bounds=bounds, method="bounded", options={"xatol": _PRECISION}
-    )
+    best = minimize_scalar(cost, bounds=bounds, options={"xatol": _PRECISION})
     return clock._replace(lag=float(best.x))
 
 

@@ -278,12 +278,10 @@ def joint_error(
     return loss.sum(axis=(1, 2)) / scale, gradient.reshape(outputs.shape)
 
 
-def read_lessons(
-    recordings: Iterable[Recording], modes: Sequence[Mode]
-) -> list[Lesson]:
+def read_lessons(recorded: Iterable[Recording], modes: Sequence[Mode]) -> list[Lesson]:
     """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
-        return list(pool.map(partial(lesson_of, modes=modes), recordings))
+        return list(pool.map(partial(lesson_of, modes=modes), recorded))
 
 
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:

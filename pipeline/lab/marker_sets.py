@@ -119,15 +119,13 @@ def joint_centers(
     with names from ``retarget/source_rigs``, or the markers of Plug-in Gait. Raises an
     InputError if it has neither, or if no unit of length fits.
     """
-    positions, unit, meters = _joints(mocap, skeleton, table)
+    joints, unit, meters = _joints(mocap, skeleton, table)
     if not unit:
         raise InputError(
             f"{mocap.source}: in no unit of length are these the bones of a person; "
             "export the file in meters or millimeters"
         )
-    return Mocap(
-        skeleton.joints, meters * positions, None, mocap.frame_time, mocap.source
-    )
+    return Mocap(skeleton.joints, meters * joints, None, mocap.frame_time, mocap.source)
 
 
 def _joints(

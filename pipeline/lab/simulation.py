@@ -140,13 +140,9 @@ def simulate_session(
             height=rng.uniform(0.8, 1.2),
             tilt=rng.uniform(-0.07, 0.07),
         )
+        own = seed * count + k
         seen = observe(
-            act,
-            seed=seed * count + k,
-            person=seed,
-            sensor=sensor,
-            scene=room,
-            prop_poses=poses,
+            act, seed=own, person=seed, sensor=sensor, scene=room, prop_poses=poses
         )
         truth = _truth(act, seen, sensor)
         clock = Clock(0.0, rng.uniform(0.0, 3600.0), rng.uniform(-1e-4, 1e-4))
@@ -176,10 +172,8 @@ def area_in_view(sensor: Sensor, height: float) -> Area:
 
 def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedTake:
     """Return the Kinect v2 take of person ``k`` of ``simulated_pairs``, from 0 on."""
-    motion = MOTIONS[k % len(MOTIONS)]
-    return simulate(
-        "basic", motion, skeleton=skeleton, seed=_LEARNED_FROM + k, tracker=tracker
-    )
+    motion, seed = MOTIONS[k % len(MOTIONS)], _LEARNED_FROM + k
+    return simulate("basic", motion, skeleton=skeleton, seed=seed, tracker=tracker)
 
 
 def simulated_pairs(

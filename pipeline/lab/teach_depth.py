@@ -266,12 +266,10 @@ def _by_skeleton(
             yield row, skeleton, skin, area, joints
 
 
-def with_constants(
-    forest: BodyPartForest, checked: Sequence[Results]
-) -> BodyPartForest:
+def with_constants(forest: BodyPartForest, tested: Sequence[Results]) -> BodyPartForest:
     """Return the forest with joints' depth behind the skin and least decisive area."""
     push, least = forest.push.copy(), forest.least.copy()
-    for row, skeleton, skin, area, joints in _by_skeleton(checked):
+    for row, skeleton, skin, area, joints in _by_skeleton(tested):
         line = skin / np.linalg.norm(skin, axis=-1, keepdims=True)
         depth = np.vecdot(joints - skin, line)
         for j, part in enumerate(np.argmax(parts_of_joints(skeleton), axis=0)):

@@ -181,9 +181,8 @@ def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
 
 def as_table(figures: Figures) -> Table:
     """Return the figures as a table for the terminal."""
-    columns = (
-        Column(h, justify="right", no_wrap=True) for h in (*LIMBS, "trunk, degrees")
-    )
+    headings = (*LIMBS, "trunk, degrees")
+    columns = (Column(name, justify="right", no_wrap=True) for name in headings)
     table = Table("session, side sensor", *columns, title="between the two sensors, cm")
     means = [
         {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}

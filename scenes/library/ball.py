@@ -280,9 +280,8 @@ def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
     span = slice(touch.start, touch.end + 1)
     caught = np.cumsum(both[span]) > 0.0
     share = gaussian_filter1d(both[span], _BLEND * hands.rate, mode="nearest")
-    before, after = (
-        _under(hands, hand, radius)[span] for hand in (touch.catcher, touch.thrower)
-    )
+    before = _under(hands, touch.catcher, radius)[span]
+    after = _under(hands, touch.thrower, radius)[span]
     one = np.where(caught[:, None], after, before)
     return np.asarray(one + share[:, None] * (_between(hands, radius)[span] - one))
 

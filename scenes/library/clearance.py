@@ -104,14 +104,11 @@ def _smooth(push: Array, fps: float) -> Array:
     return np.asarray(blurred * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
 
 
-def _pushed(
-    puppet: Puppet, pose: Pose, positions: Array, side: int, push: Array
-) -> Pose:
+def _pushed(puppet: Puppet, pose: Pose, joints: Array, side: int, push: Array) -> Pose:
     """Return the motion with one hand moved by ``push`` [m], elbow direction kept."""
     index = puppet.body.skeleton.index
     shoulder, elbow, wrist = (
-        positions[:, index(part + SIDES[side])]
-        for part in ("Shoulder", "Elbow", "Wrist")
+        joints[:, index(part + SIDES[side])] for part in ("Shoulder", "Elbow", "Wrist")
     )
     fore = wrist - elbow
     fore = fore * (puppet.forearm(side) / np.linalg.norm(fore, axis=1))[:, None]

@@ -62,9 +62,7 @@ class Pose:
         A single number is a forward tilt or flexion.
         """
         tilt = pelvis if isinstance(pelvis, tuple) else (0.0, pelvis, 0.0)
-        bend, nod = (
-            a if isinstance(a, tuple) else (a, 0.0, 0.0) for a in (spine, head)
-        )
+        bend, nod = (a if isinstance(a, tuple) else (a, 0, 0) for a in (spine, head))
         return replace(
             self,
             root=self.root + np.array([side, -drop, -back]),

@@ -70,9 +70,7 @@ def observe(
     else:
         identity = np.random.default_rng([seed if person is None else person, 1])
         sight = look(motion, sensor, scene=scene, prop_poses=props)
-        placed = with_position_errors(
-            motion, sight, sensor, errors, rng=rng, person=identity
-        )
+        placed = with_position_errors(motion, sight, sensor, errors, rng, identity)
         in_view = sensor.in_view(in_sensor_frame(motion.positions, sensor))
         in_view &= in_view[:, [motion.skeleton.root]]
         state = tracking_states(motion, sight, in_view, errors, rng)

@@ -71,15 +71,13 @@ class PosedBody:
         reach = np.empty((frames, count))
         geoms = np.empty((frames, count), dtype=np.int32)
         model, data = self.model, self.data
-        every_geom = (None, True, -1)  # of all groups, static ones too, of all bodies
+        every = (None, True, -1)  # of all groups, static ones too, of all bodies
         for t in range(frames):
             data.mocap_pos[self._slots] = place[t]
             data.mocap_quat[self._slots] = turn[t]
             mujoco.mj_kinematics(model, data)
             hits = (geoms[t], reach[t], None)  # without normals
-            mujoco.mj_multiRay(
-                model, data, eye, beams[t], *every_geom, *hits, count, _FAR
-            )
+            mujoco.mj_multiRay(model, data, eye, beams[t], *every, *hits, count, _FAR)
         return reach, geoms
 
 

@@ -141,7 +141,6 @@ def with_position_errors(
     sight: Sight,
     sensor: Sensor,
     errors: TrackerErrors,
-    *,
     rng: Generator,
     person: Generator,
 ) -> Array:
@@ -198,12 +197,10 @@ def _turned_toward(
     turn = np.maximum(angle - _TURNED, 0.0) * (1.0 - 1.0 / (1.0 + errors.trunk_turn))
     turn *= np.sign(across) * np.sign(ahead)
     turn *= np.minimum((np.pi / 2.0 - angle) / _SIDE_ON, 1.0)
-    turned = placed.copy()
+    turned, around = placed.copy(), about_y(turn)[:, None]
     for pair in (list(skeleton.sides("Shoulder")), list(skeleton.sides("Hip"))):
         middle = placed[:, pair].mean(axis=1, keepdims=True)
-        turned[:, pair] = middle + rotate(
-            about_y(turn)[:, None], placed[:, pair] - middle
-        )
+        turned[:, pair] = middle + rotate(around, placed[:, pair] - middle)
     for foot, side in zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True):
         ankle = placed[:, skeleton.parents[foot]]
         far = about_y(np.where(side * across < 0.0, turn, 0.0))

@@ -60,9 +60,8 @@ def look(
         scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
         for c in chunks(len(motion), _CHUNK)
     ]
-    return Sight(
-        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
-    )
+    names = [field.name for field in fields(Sight)]
+    return Sight(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
 def rest_front(body: Body, sensor: Sensor) -> Array:
@@ -113,9 +112,8 @@ class _Scanner:
         up = np.cross(line, right)
         pattern = _pattern()
         radii = self.radii[:, None]
-        scale = np.repeat(
-            np.hstack([_DISK * radii, radii + _RING]), [_DISK_RAYS, _RING_RAYS], axis=1
-        )
+        sizes = np.hstack([_DISK * radii, radii + _RING])
+        scale = np.repeat(sizes, [_DISK_RAYS, _RING_RAYS], axis=1)
         disk = scale[:, :_DISK_RAYS] * np.linalg.norm(pattern[:_DISK_RAYS], axis=1)
         bulge = np.pad(np.sqrt(radii**2 - disk**2), ((0, 0), (0, _RING_RAYS)))
         x, y = scale * pattern[:, 0], scale * pattern[:, 1]

@@ -59,9 +59,7 @@ class ClusteredGP(Learner):
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Train on pairs in which every joint is reliable."""
         count, least = _POOL * self.centroids, self.smallest_reliability
-        frames = TrainingFrames.draw(
-            training, self.skeleton, count, self.seed, least_reliability=least
-        )
+        frames = TrainingFrames.draw(training, self.skeleton, count, self.seed, least)
         for _ in progress("clusters", 1):
             self.joints_, self.seen_ = frames.joints, frames.measured
             truth = frames.postures.copy()

@@ -72,10 +72,8 @@ def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Perso
                 if mirrored:
                     points, offsets = map(features.mirrored, (points, offsets))
                     toward = toward * [-1.0, 1.0]
-                now = take.time[frames]
-                inputs.append(
-                    features(points[frames], points, now, take.time, toward[frames])
-                )
+                shown, now = points[frames], take.time[frames]
+                inputs.append(features(shown, points, now, take.time, toward[frames]))
                 outputs.append(offsets[frames].reshape(len(frames), -1))
             yield Person(
                 np.concatenate(inputs),

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.hold import RELIABLE
 
-from .training_data import OffsetCorrector, TrainingSet, add_offsets
+from .training_data import OffsetCorrector, TrainingSet
 
 Likelihood = Literal["relative", "density"]
 _LARGEST = 100_000  # frames used to measure the variances of movement and error
@@ -138,9 +138,7 @@ class FusedOffsets(OffsetCorrector):
         offsets, coverage = self._offsets(posture, seen)
         hung = missing.copy()
         hung[self.joints_] = False
-        result = add_offsets(
-            self.skeleton, posture, self.joints_, offsets, hung, coverage
-        )
+        result = self._moved(posture, offsets, hung, coverage)
         self._past = [*self._past[-1:], result.positions[self.joints_]]
         return replace(result, confidence=np.where(missing, 0.0, result.confidence))
 

@@ -129,11 +129,9 @@ class LocalGP(FusedOffsets):
         self._models = self._local_models()
 
     def _local_models(self) -> LocalModels:
-        arrays = (self.centers_, self.features_, self.offsets_, self.counts_)
+        data = self.centers_, self.features_, self.offsets_, self.counts_
         spare = self.spare if self.adapt else 0
-        return LocalModels(
-            self.kernels, *arrays, spare=spare, redundancy=self.redundancy
-        )
+        return LocalModels(self.kernels, *data, spare=spare, redundancy=self.redundancy)
 
     def start(self) -> None:
         """Reset the state for a new motion, including what was learned from frames."""

@@ -39,7 +39,7 @@ def threshold_singular_values(matrix: Array, threshold: float) -> Array:
 
 
 def decompose(
-    matrix: Array, penalty: Array, *, growth: float = 1.05, iterations: int = 1000
+    matrix: Array, penalty: Array, growth: float = 1.05, iterations: int = 1000
 ) -> Decomposition:
     """Minimize nuclear(A) + sum of penalty |E| with A + E = D (eq. 3).
 
@@ -102,9 +102,7 @@ class LowRank(WholeTake):
         del rows  # so that an hour's take fits in a gigabyte
         price = self.sparsity / np.sqrt(max(len(matrix), seen.shape[1]))
         penalty = price * np.repeat(seen[:, joints], 3, axis=0)
-        result = decompose(
-            matrix, penalty, growth=self.growth, iterations=self.iterations
-        )
+        result = decompose(matrix, penalty, self.growth, self.iterations)
         self.iterations_, self.converged_ = result.iterations, result.converged
         recovered = np.full_like(take.positions, np.nan)
         clean = result.low_rank.reshape(len(seen), 3, len(joints))

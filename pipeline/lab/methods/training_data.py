@@ -70,9 +70,24 @@ class OffsetCorrector(Learner):
         missing = np.isnan(observation.positions[:, 0])
         posture = self._hold.step(observation).positions
         offsets, coverage = self._offsets(posture, observation)
-        return add_offsets(
-            self.skeleton, posture, self.joints_, offsets, missing, coverage
-        )
+        return self._moved(posture, offsets, missing, coverage)
+
+    def _moved(
+        self, posture: Array, offsets: Array, missing: Flags, coverage: float
+    ) -> Correction:
+        """Return a posture (J, 3) with the learned joints moved by offsets (M, 3) [m].
+
+        Joints that are ``missing`` (J,), and filled, move with their parents.
+        """
+        learned, skeleton = self.joints_, self.skeleton
+        corrected = posture.copy()
+        corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
+        for j in skeleton.order[1:] if missing.any() else ():
+            if missing[j]:
+                parent = skeleton.parents[j]
+                corrected[j] = corrected[parent] + posture[j] - posture[parent]
+        confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
+        return Correction(corrected, None, confidence, coverage)
 
     @abstractmethod
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:
@@ -96,10 +111,9 @@ class TrainingFrames:
         skeleton: Skeleton,
         samples: int,
         seed: int,
-        *,
-        least_reliability: float = 0.0,
+        least: float = 0.0,
     ) -> Self:
-        """Draw frames of reliable learned joints at random; InputError if too few."""
+        """Draw frames in which learned joints are reliable; InputError if too few."""
         training.check_skeleton(skeleton)
         counts = np.zeros((2, len(skeleton)))
         for block in chunks(len(training), _BLOCK):
@@ -109,7 +123,7 @@ class TrainingFrames:
         # Requiring a joint that is mostly absent would leave too few frames.
         usual, common = counts / len(training) > 0.5
         joints = np.flatnonzero(common)
-        rows = _complete_frames(training, joints, least_reliability)
+        rows = _complete_frames(training, joints, least)
         if len(rows) < _LEAST_FRAMES or not len(joints):
             raise InputError(
                 f"{training.source}: {len(rows)} frames with every joint reliable "
@@ -133,36 +147,11 @@ class TrainingFrames:
         return cls(postures, offsets, joints, usual, lengths)
 
 
-def _complete_frames(
-    training: TrainingSet, joints: Indices, least_reliability: float
-) -> Indices:
+def _complete_frames(training: TrainingSet, joints: Indices, least: float) -> Indices:
     frames = []
     for block in chunks(len(training), _BLOCK):
-        complete = training.reliability[block][:, joints] >= least_reliability
+        complete = training.reliability[block][:, joints] >= least
         for positions in (training.positions, training.truth):
             complete &= ~np.isnan(positions[block][:, joints, 0])
         frames.append(block.start + np.flatnonzero(complete.all(axis=1)))
     return np.concatenate(frames)
-
-
-def add_offsets(
-    skeleton: Skeleton,
-    posture: Array,
-    learned: Indices,
-    offsets: Array,
-    missing: Flags,
-    coverage: float,
-) -> Correction:
-    """Return a posture moved by offsets; missing joints move with their parents.
-
-    ``posture`` (J, 3) [m] has ``missing`` joints (J,) filled; ``offsets`` (M, 3) [m]
-    are those of the ``learned`` joints (M,).
-    """
-    corrected = posture.copy()
-    corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
-    for j in skeleton.order[1:] if missing.any() else ():
-        if missing[j]:
-            parent = skeleton.parents[j]
-            corrected[j] = corrected[parent] + posture[j] - posture[parent]
-    confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-    return Correction(corrected, None, confidence, coverage)

@@ -216,11 +216,9 @@ def chiang_figure_7(options: Options, *, people: int = 16) -> Study:
     Kinect. A quarter as many people are tested as learned from.
     """
     liu, chiang = _SYSTEMS
-    traces = [
+    paths = [
         Trace(*followed, {"kinect": None, liu: liu_cm, chiang: chiang_cm})
         for followed, liu_cm, chiang_cm in _FOLLOWED
     ]
     title = "A wrist and an elbow during exercises (Chiang 2017, Figure 7)"
-    return trace_study(
-        options, title, traces, people=people, sensor="v1", standard=True
-    )
+    return trace_study(options, title, paths, people=people, sensor="v1", standard=True)

@@ -98,9 +98,8 @@ def _figures(
 
 
 def _bent(positions: Array, skeleton: Skeleton) -> float:
-    elbows, wrists, hands = (
-        positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
-    )
+    sides = map(skeleton.sides, ("Elbow", "Wrist", "Hand"))
+    elbows, wrists, hands = (positions[:, pair] for pair in sides)
     cosine = np.vecdot(unit(wrists - elbows), unit(hands - wrists))
     seen = np.isfinite(cosine)
     bent = np.count_nonzero(cosine[seen] < np.cos(np.radians(60.0)))

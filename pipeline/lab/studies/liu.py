@@ -292,10 +292,8 @@ def liu_table_5(
     for who in ("new", "known"):
         situations[f"simulated {who} people"] = {n: e[who] for n, e in found.items()}
     if options.data is not None:
-        hidden = hidden_limb_errors(
-            options, presets=[*presets], count=count, most=clips
-        )
-        for label, error in hidden.items():
+        limbs = hidden_limb_errors(options, presets=[*presets], count=count, most=clips)
+        for label, error in limbs.items():
             for where, value in error.items():
                 row = situations.setdefault(f"recorded, {where}", {})
                 row[presets.get(label, label)] = value

@@ -275,18 +275,16 @@ def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase
     return found
 
 
-def _measure(
-    method: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]
-) -> list[float]:
+def _measure(pca: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]) -> list[float]:
     energies, seconds, errors = [], [], []
     for pair, draft in takes:
-        method.start()
+        pca.start()
         postures = draft.standard.copy()
         for k in range(min(_FRAMES, len(postures))):
             start = perf_counter()
-            postures[k] = method.synthesize(draft.standard[k], draft.reliability[k])[0]
+            postures[k] = pca.synthesize(draft.standard[k], draft.reliability[k])[0]
             seconds.append(perf_counter() - start)
-            energy = method.energy
+            energy = pca.energy
             found = energy.space.project(postures[k].ravel())
             energies.append(energy.constant + float(energy(found[None])[0][0]))
         positions = Standardizer(draft.body).undo(postures, draft.heading)
