@@ -17,7 +17,6 @@ from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
@@ -154,13 +153,8 @@ def _folds(
         own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not own:
             continue
-        school = CorrectorFactory(
-            [pair for pair in pairs if pair.subject != person],
-            own[0].take.skeleton,
-            people=False,
-            database=builtin_database(own[0].take.skeleton),
-            progress=progress,
-        )
+        rest = [pair for pair in pairs if pair.subject != person]
+        school = CorrectorFactory(rest, own[0].take.skeleton, progress=progress)
         others = joined(lesson for lesson in lessons if lesson.person != person)
         prior = train_prior(others, pool) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]

@@ -92,29 +92,27 @@ def describe_limbs(take: Take) -> Array:
             reach = (placed[:, j] - placed[:, begin]) * outwards
             mirrored = (placed[:, other] - placed[:, opposite]) * [-1.0, 1.0, 1.0]
             along = unit(positions[:, middle] - positions[:, begin])
-            features[:, j] = np.stack(
-                [
-                    np.abs(ratio[:, j]),
-                    np.abs(ratio[:, before]),
-                    np.abs(ratio[:, beyond]),
-                    length_jitter[:, j],
-                    mean_speed[:, j],
-                    mean_acceleration[:, j] / 30.0,
-                    leap[:, j],
-                    np.maximum(far, 0.0),
-                    np.maximum(-far, 0.0),
-                    np.cos(turned),
-                    -unit(bones[:, j])[:, 1],
-                    np.vecdot(unit(bones[:, j]), along),
-                    cover[:, j],
-                    _behind_limb(positions, rays, away, j, skeleton),
-                    np.maximum(-reach[:, 0], 0.0),
-                    reach[:, 2],
-                    np.linalg.norm(reach - mirrored * outwards, axis=1),
-                    away[:, j] - away[:, other],
-                ],
-                axis=1,
-            )
+            columns = [
+                np.abs(ratio[:, j]),
+                np.abs(ratio[:, before]),
+                np.abs(ratio[:, beyond]),
+                length_jitter[:, j],
+                mean_speed[:, j],
+                mean_acceleration[:, j] / 30.0,
+                leap[:, j],
+                np.maximum(far, 0.0),
+                np.maximum(-far, 0.0),
+                np.cos(turned),
+                -unit(bones[:, j])[:, 1],
+                np.vecdot(unit(bones[:, j]), along),
+                cover[:, j],
+                _behind_limb(positions, rays, away, j, skeleton),
+                np.maximum(-reach[:, 0], 0.0),
+                reach[:, 2],
+                np.linalg.norm(reach - mirrored * outwards, axis=1),
+                away[:, j] - away[:, other],
+            ]
+            features[:, j] = np.stack(columns, axis=1)
     return features[rows]
 
 

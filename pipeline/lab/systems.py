@@ -158,12 +158,9 @@ class CorrectorFactory:
         fixed = {k: value for k, value in settings.items() if k not in free}
         key = str((lessons_key, name, sorted(fixed.items())))
         if key not in self._learned:
+            data, people = self._lessons[lessons_key], self._people
             self._learned[key] = teach(
-                name,
-                self._lessons[lessons_key],
-                people=self._people,
-                settings=fixed,
-                progress=self._progress,
+                name, data, people=people, settings=fixed, progress=self._progress
             )
         learned = self._learned[key]
         return learned.adjusted(**settings) if settings else learned

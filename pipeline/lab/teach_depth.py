@@ -126,15 +126,11 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
     camera = DepthCamera(PosedBody(body), SENSORS["v2"])
     for joints, turn in zip(positions, rotations, strict=True):
         height, distance = rng.uniform(0.6, 1.6), rng.uniform(2.0, 3.6)
-        camera.look_from(
-            replace(
-                SENSORS[str(rng.choice(list(SENSORS)))],
-                height=height,
-                distance=distance,
-                azimuth=float(np.clip(rng.normal(0.0, 0.7), -1.7, 1.7)),
-                tilt=float(np.arctan2(0.9 - height, distance) + rng.normal(0.0, 0.08)),
-            )
-        )
+        sensor = SENSORS[str(rng.choice(list(SENSORS)))]
+        azimuth = float(np.clip(rng.normal(0.0, 0.7), -1.7, 1.7))
+        tilt = float(np.arctan2(0.9 - height, distance) + rng.normal(0.0, 0.08))
+        sensor = replace(sensor, height=height, distance=distance)
+        camera.look_from(replace(sensor, azimuth=azimuth, tilt=tilt))
         image = with_noise(camera.take(joints, turn), camera.sensor, rng)
         yield Shot(image, in_sensor_frame(joints, camera.sensor), body)
 

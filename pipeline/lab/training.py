@@ -115,12 +115,9 @@ def teach(
     of the other methods. Raises an InputError if the pairs are too few.
     """
     if method == "learned":
+        simulated = _simulated(lessons.skeleton, _SIMULATED)
         return FourierRidgeLearner(lessons.skeleton).fit(
-            lessons,
-            simulated=_simulated(lessons.skeleton, _SIMULATED),
-            views=views,
-            people=people,
-            progress=progress,
+            lessons, simulated=simulated, views=views, people=people, progress=progress
         )
     learner: Learner = LEARNED[method].load()(lessons.skeleton, **(settings or {}))
     return learner.fit(lessons, progress=progress)

@@ -98,20 +98,17 @@ def _train_by_person(
 
 
 def _compare(
-    session: Session,
-    methods: Sequence[str],
-    physics: bool,
-    learned: LearnedCorrector | None,
+    session: Session, names: Sequence[str], physics: bool, own: LearnedCorrector | None
 ) -> Figures:
     side, at, truth, sure, sensor, facing, faces = read_views(session)
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
     seen = {"raw": side.positions[at]}
-    for method in methods:
+    for method in names:
         config, corrector = CleanConfig(method=method, physics=physics), None
-        if method == "learned" and learned is not None:
+        if method == "learned" and own is not None:
             config = CleanConfig(physics=physics)
-            corrector = learned.from_arrays(skeleton, learned.arrays())
+            corrector = own.from_arrays(skeleton, own.arrays())
         clip = Cleaner(config, corrector=corrector).clean(side).clip
         seen[method] = clip.positions[at]
     away = {

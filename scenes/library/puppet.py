@@ -235,11 +235,8 @@ class Puppet:
         line = ankles[..., side, :] - trunk.root
         line = rotate(inverse(trunk.pelvis), line) - self._hips[side]
         upper, lower = self._thigh[side], self._shank[side]
-        distance = np.clip(
-            np.linalg.norm(line, axis=-1),
-            _third_side(upper, lower, _MAX_KNEE),
-            _MAX_REACH * (upper + lower),
-        )
+        near, far = _third_side(upper, lower, _MAX_KNEE), _MAX_REACH * (upper + lower)
+        distance = np.clip(np.linalg.norm(line, axis=-1), near, far)
         line = unit(line)
         out = _SIDES[side] * pose.knee_out[..., side] + _KNEE_FOLLOWS_FOOT * (
             1.0 - pose.lifted[..., side]
