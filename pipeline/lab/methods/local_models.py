@@ -242,13 +242,14 @@ class LocalModels:
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
         if n == most:
-            alone, alpha = 1.0 / np.diag(inverse), inverse @ offsets
-            least = int(gp.divergence_of(alone, alpha, kernel.noise).argmin())
+            each, alpha = 1.0 / np.diag(inverse), inverse @ offsets
+            least = int(gp.divergence_of(each, alpha, kernel.noise).argmin())
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
             inverse = gp.shrink_inverse(inverse, least)
-            factor = qr_delete(np.eye(n + 1), factor, least, which="col")[1][:-1]
+            grown = qr_delete(np.eye(n + 1), factor, least, which="col")[1]
+            factor = np.asarray(grown[:-1])
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n
