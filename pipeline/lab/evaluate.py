@@ -115,9 +115,7 @@ def _worse_than_none(tallies: dict[str, Tally]) -> dict[str, tuple[int, int]]:
 
 
 def _test(
-    pairs: Sequence[PairedTake],
-    trained: Sequence[tuple[System, Corrector]],
-    progress: Progress,
+    pairs: list[PairedTake], trained: list[tuple[System, Corrector]], progress: Progress
 ) -> dict[str, Tally]:
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:

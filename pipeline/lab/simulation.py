@@ -70,7 +70,7 @@ def simulate(
     joints = SKELETONS[skeleton or _SKELETON[sensor]]
     body = random_body(joints, np.random.default_rng(person))
     area = area_in_view(SENSORS[sensor], body.height) if stay_in_view else None
-    act = _performed(motion, body, seed, 30.0, area)
+    act = _acted(motion, body, seed, 30.0, area)
     take = observe(
         act,
         seed=seed,
@@ -85,12 +85,10 @@ def simulate(
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
 
 
-def _performed(
-    motion: str, body: Body, seed: int, fps: float, within: Area | None
-) -> Motion:
-    if motion in MOTIONS or not Path(motion).suffix:
-        return perform(motion, body, seed=seed, fps=fps, within=within)
-    return mocap_act(Path(motion), body.skeleton, fps)
+def _acted(name: str, body: Body, seed: int, fps: float, area: Area | None) -> Motion:
+    if name in MOTIONS or not Path(name).suffix:
+        return perform(name, body, seed=seed, fps=fps, within=area)
+    return mocap_act(Path(name), body.skeleton, fps)
 
 
 def _named(motion: str) -> str:
@@ -131,7 +129,7 @@ def simulate_session(
     views, count = [], len(sensors)
     for k, name in enumerate(sensors):
         body = random_body(SKELETONS[_SKELETON[name]], np.random.default_rng(seed))
-        whole = _performed(motion, body, seed, 30.0 * count, Area(_AMONG, _AMONG))
+        whole = _acted(motion, body, seed, 30.0 * count, Area(_AMONG, _AMONG))
         act = whole.at(slice(k, None, count))
         poses = {prop: rows[k::count] for prop, rows in prop_poses(room, whole).items()}
         sensor = replace(

@@ -17,6 +17,7 @@ from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
 Angles = float | tuple[float, float, float]
+Arm = tuple[Array, Array]  # upper arm (..., 4) and elbow (...) of a pose
 LEFT, RIGHT, BOTH = 0, 1, slice(None)  # sides of a pose
 
 _SMOOTHING = 0.05  # s, standard deviation of the blur of the motion at the key poses
@@ -41,7 +42,7 @@ class Pose:
     lifted: Array  # 0: the foot is planted; 1: it hangs from the shank, (..., 2)
     knee_out: Array  # outward rotation of the knee relative to the foot, (..., 2)
 
-    def with_arm(self, side: int | slice, arm: tuple[Array, Array]) -> Pose:
+    def with_arm(self, side: int | slice, arm: Arm) -> Pose:
         """Return the pose with a new (upper arm, elbow) on one side or on BOTH."""
         arms, elbows = self.arm.copy(), self.elbow.copy()
         arms[..., side, :], elbows[..., side] = arm

@@ -28,7 +28,7 @@ from kinefilter.characters.rotations import (
     wxyz_from_matrix,
 )
 
-from .poses import LEFT, RIGHT, Pose
+from .poses import LEFT, RIGHT, Arm, Pose
 
 _SIDES = np.array([1.0, -1.0])
 _X, _DOWN = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
@@ -82,7 +82,7 @@ class Puppet:
 
     def arm(
         self, elevation: ArrayLike, plane: ArrayLike, axial: ArrayLike, elbow: ArrayLike
-    ) -> tuple[Array, Array]:
+    ) -> Arm:
         """Return (upper arm, elbow) for shoulder angles [rad] after Wu et al. 2005."""
         elevation, plane, axial, elbow = np.broadcast_arrays(
             *(np.asarray(a, dtype=float) for a in (elevation, plane, axial, elbow))
@@ -97,16 +97,14 @@ class Puppet:
         """Return the length [m] from elbow to hand with a straight wrist."""
         return float(self._fore[side] + self._hand[side])
 
-    def reach(
-        self, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> tuple[Array, Array]:
+    def reach(self, side: int, goal: ArrayLike, pole: ArrayLike) -> Arm:
         """Return (upper arm, elbow) that bring the hand joint to a goal.
 
         The goal is outward (to the side of the arm), up and forward of the joint
         between the shoulders, thorax frame [m] on the standard body, shape (..., 3);
-        the elbow points in the direction ``elbow_to``, same axes, shape (..., 3).
+        the elbow points in the direction ``pole``, same axes, shape (..., 3).
         """
-        goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
+        goal, pole = np.asarray(goal, float) * self.scale, np.asarray(pole, float)
         upper, lower = self._upper[side], self.forearm(side)
         near, far = _third_side(upper, lower, _MAX_ELBOW), _MAX_REACH * (upper + lower)
         along = np.array([np.sin(0.8) * np.cos(1.0), -np.cos(0.8), np.sin(0.8)])
@@ -121,31 +119,29 @@ class Puppet:
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
 
-    def put_hand(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> Pose:
+    def put_hand(self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike) -> Pose:
         """Return the pose with a hand at a goal; arguments as in ``reach``."""
-        return pose.with_arm(side, self.reach(side, goal, elbow_to))
+        return pose.with_arm(side, self.reach(side, goal, pole))
 
-    def reach_both(self, pose: Pose, goal: ArrayLike, elbow_to: ArrayLike) -> Pose:
+    def reach_both(self, pose: Pose, goal: ArrayLike, pole: ArrayLike) -> Pose:
         """Return the pose with both hands at mirrored goals; see ``reach``."""
-        pose = self.put_hand(pose, LEFT, goal, elbow_to)
-        return self.put_hand(pose, RIGHT, goal, elbow_to)
+        pose = self.put_hand(pose, LEFT, goal, pole)
+        return self.put_hand(pose, RIGHT, goal, pole)
 
     def reach_world(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> tuple[Array, Array]:
+        self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
+    ) -> Arm:
         """Return ``reach`` for a goal in the world frame [m] and a pose's trunk."""
         trunk = self.trunk(pose)
         local = rotate(inverse(trunk.thorax), np.asarray(goal, float) - trunk.neck)
         local = local * np.array([_SIDES[side], 1.0, 1.0]) / self.scale
-        return self.reach(side, local, elbow_to)
+        return self.reach(side, local, pole)
 
     def put_hand_world(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
+        self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
     ) -> Pose:
         """Return the pose with a hand at a goal in the world frame [m]."""
-        return pose.with_arm(side, self.reach_world(pose, side, goal, elbow_to))
+        return pose.with_arm(side, self.reach_world(pose, side, goal, pole))
 
     def swing_leg(
         self, pose: Pose, side: int, flexion: float, abduction: float, knee: float

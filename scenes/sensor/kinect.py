@@ -39,23 +39,15 @@ def observe(
 ) -> Take:
     """Return a take of a motion as a Kinect might have recorded it.
 
-    Positions [m] are in the sensor frame, NaN for joints that are not tracked.
-
-    Args:
-        motion: The motion in front of the sensor.
-        seed: Seed of all errors; the same seed gives the same take.
-        sensor: The sensor; by default a Kinect v2, 1 m high and 2.7 m away.
-        errors: Sizes of the errors of ``model``, by default as in recordings.
-        scene: The room and its props, z up as in MuJoCo; by default a bare floor.
-        prop_poses: For each moving body of the scene, its position [m] and orientation
-            (wxyz) in every frame, in MuJoCo's world, shape (T, 7).
-        person: Seed of the errors of ``model`` that all takes of a person share; by
-            default ``seed``.
-        tracker: How joints are found.
-
-    Raises:
-        InputError: The tracker is unknown, a moving prop is not a direct child of the
-            scene's worldbody, or its poses do not fit the motion.
+    Positions [m] are in the sensor frame, NaN for joints that are not tracked. The seed
+    determines all errors. The sensor is by default a Kinect v2, 1 m high and 2.7 m
+    away, and the scene, z up as in MuJoCo, a bare floor. ``prop_poses`` are the
+    positions [m] and orientations (wxyz) of its moving bodies in every frame, in
+    MuJoCo's world, (T, 7). Only for the tracker ``model``, ``errors`` are the sizes of
+    errors, by default as in recordings, and ``person`` is the seed of those that all
+    takes of a person share, by default ``seed``. Raises an InputError if the tracker is
+    unknown, a moving prop is not a direct child of the scene's worldbody, or its poses
+    do not fit the motion.
     """
     check_choice(tracker, get_args(Tracker), "tracker")
     sensor, errors = sensor or Sensor(), errors or TrackerErrors()

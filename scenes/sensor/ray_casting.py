@@ -52,12 +52,8 @@ class PosedBody:
     ) -> tuple[Array, NDArray[np.int32]]:
         """Return each ray's length [m] and the geom it hits, -1 for none, (T, N).
 
-        Args:
-            positions: Joint positions [m], in the motion's world, (T, J, 3).
-            rotations: Segment rotations, likewise, (T, J, 4).
-            props: Poses of the moving props, in MuJoCo's world, each (T, 7).
-            eye: Origin of the rays [m], in the motion's world, (3,).
-            rays: Unit vectors, likewise, (T, N, 3).
+        Joints [m] (T, J, 3), segment rotations (T, J, 4), the rays' origin [m] (3,) and
+        unit vectors (T, N, 3) are in the motion's world, props (T, 7) in MuJoCo's.
         """
         frames, count = rays.shape[:2]
         skeleton = self.body.skeleton

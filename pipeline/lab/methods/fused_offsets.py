@@ -44,15 +44,11 @@ def least_energy(
     negative of that, times twice the prior variance: certainty * |y - mean|^2, a
     squared distance like the other terms (eq. 20, 21). Every term is quadratic in y.
 
-    Args:
-        mean: Predicted offsets [m], shape (M, 3).
-        certainty: Prior variance over predicted variance, shape (M, 3): 1 without
-            training data nearby, so that the weights are then those of the paper.
-        steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
-        reliabilities: Reliability of the joints, in [0, 1], shape (M,).
-        spatial: Weight of the spatial term; the others' may have shape (M, 1).
-        temporal: Weight of the temporal term.
-        reliability: Weight of the reliability term.
+    ``mean`` (M, 3) are the predicted offsets [m], ``certainty`` (M, 3) the prior
+    variance over the predicted one, 1 without training data nearby, so that the weights
+    are then those of the paper, ``steady`` (M, 3) the offsets of constant velocity [m],
+    NaN where unknown, and ``reliabilities`` (M,) those of the joints. The others are
+    the terms' weights, of shape (M, 1) or numbers.
     """
     near = spatial * certainty
     flow = np.where(np.isnan(steady), 0.0, temporal)

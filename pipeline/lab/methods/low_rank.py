@@ -45,11 +45,9 @@ def decompose(
 
     The inexact augmented Lagrangian of algorithm 1, with the multiplier starting at 0.
 
-    Args:
-        matrix: D, finite, shape (M, N), tall.
-        penalty: Of each entry's error: lambda, or 0 where nothing was measured, (M, N).
-        growth: rho, by which mu grows; the common 1.5 stops short of the minimum.
-        iterations: Maximum number of iterations.
+    D is finite, (M, N), tall; the penalty of each entry's error, (M, N), is lambda, or
+    0 where nothing was measured. ``growth`` is rho, by which mu grows; the common 1.5
+    stops short of the minimum.
     """
     size = float(np.linalg.norm(matrix))
     error, dual = np.zeros_like(matrix), np.zeros_like(matrix)

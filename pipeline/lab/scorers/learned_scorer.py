@@ -92,15 +92,12 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     """
 
     def __init__(
-        self,
-        skeleton: Skeleton,
-        reference: Reference,
-        weights: ClueWeights | None = None,
+        self, skeleton: Skeleton, reference: Reference, given: ClueWeights | None = None
     ) -> None:
         body = measured_body(skeleton, reference.lengths, reference.directions)
         self._scale = STANDARD_HEIGHT / body.height
         self._rest = body.rest_positions - body.rest_positions[skeleton.root]
-        self._learned = weights or _embedded_weights(skeleton)
+        self._learned = given or _embedded_weights(skeleton)
         own = np.arange(len(skeleton))
         before = np.maximum(skeleton.parents, 0)
         after = [next(iter(skeleton.children[j]), j) for j in own]

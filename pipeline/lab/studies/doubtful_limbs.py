@@ -94,23 +94,21 @@ def _errors_on(
     test: Sequence[PairedTake],
 ) -> Errors:
     trainer, prior = CorrectorFactory(train), train_prior_on(train)
-    none = _cleaned(CleanConfig("none", physics=False), None, prior)
+    none = _whole(CleanConfig("none", physics=False), None, prior)
     raw = _unleveled(lambda take: Hold(take.skeleton).fill(take.positions))
     runners: dict[str, Runner] = {"raw": raw, "none": none}
     for system in systems:
         corrector = trainer.corrector(system)
         runners[system.label] = (
-            _cleaned(system.config, corrector, prior)
+            _whole(system.config, corrector, prior)
             if whole
             else _unleveled(correction(system.config, corrector))
         )
     return {name: _means(test, run, guesses) for name, run in runners.items()}
 
 
-def _cleaned(
-    config: CleanConfig, corrector: Corrector | None, prior: MotionPrior
-) -> Runner:
-    cleaner = with_prior(Cleaner(config, corrector=corrector), config, prior)
+def _whole(config: CleanConfig, method: Corrector | None, prior: MotionPrior) -> Runner:
+    cleaner = with_prior(Cleaner(config, corrector=method), config, prior)
 
     def run(take: Take) -> tuple[Array, Turn]:
         clip = cleaner.clean(take).clip
