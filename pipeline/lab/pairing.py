@@ -29,11 +29,10 @@ from .marker_sets import MarkerSet, joint_centers
 EXPLAINED = 0.55
 """Minimum share of a take's movement that its mocap must explain.
 
-Chosen on s02, s03 and s04 of UI-PRMD, where it accepts 97 % of the true pairs. On s06,
-s07 and s08, with clips of 2.5 s, it accepts 97 % of the true pairs, 1 % of the pairs
-with mocap of another exercise, 5 % with another person's mocap of the same exercise,
-and 32 % with another repetition by the same person:
-``python tests/pairing_figures.py ../shared/data s06 s07 s08``."""
+Chosen on s02, s03 and s04 of UI-PRMD. On s06, s07 and s08, with clips of 2.5 s, it
+accepts 97 % of the true pairs, 1 % of those with mocap of another exercise, 5 % with
+another person's of the same, and 32 % with another repetition
+(``tests/pairing_figures.py``)."""
 
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
@@ -42,18 +41,14 @@ _ANKLE = 0.06  # m up the shank, where a Kinect places it; from s02, s03 and s04
 _LEAST_MOVED = 0.01  # m: minimum standard deviation of joint distances in a movement
 _SAME_CLOCK = 0.5  # frames by which lags of the same clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10
-"""Angle, and distance [m] of the body, by which the transform of a take may differ from
-that of its session; within a person of UI-PRMD they differ by up to 3 degrees. A
-guess."""
+"""Angle, and distance [m] of the body, by which a take's transform may differ from its
+session's; within a person of UI-PRMD it is up to 3 degrees. A guess."""
 _FEW = 0.2  # share of outlier frames that are ignored in the explained share; a guess
 _STRETCHED = 0.25  # relative change of a bone's length that marks its joint as wrong
 _LOST_FRAME, _LOST_JOINT = 0.20, 0.30
 """Median distances [m] over a frame, and for a joint over a take, beyond which the
-sensor is not following the person: in s02, s03 and s04, 99.9 % are below 0.16 m and
-0.25 m."""
-_SIZES = 0.20
-"""Log ratio by which the median bone lengths of one person may differ; those of s02,
-s03 and s04 differ by up to 14 %."""
+sensor has lost the person: in s02 to s04, 99.9 % are below 0.16 m and 0.25 m."""
+_SIZES = 0.20  # log ratio of a person's median bone lengths; up to 14 % in s02 to s04
 _RATES = 0.05  # relative difference allowed between frame rates in one file
 
 

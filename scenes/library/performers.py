@@ -28,12 +28,9 @@ from .stances import stance
 _SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | SPORTS | PROP_MOTIONS
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
-"""Names of the motions that ``perform`` knows.
-
-Some come in two versions: as people move of their own accord (squat, lunge, step_over,
-sit, raise_leg), and as an exercise with a prescribed arm position that is often done
-wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise).
-"""
+"""Names of the motions that ``perform`` knows. Some come in two versions: as people do
+them of their own accord (squat, lunge, step_over, sit, raise_leg), and as an exercise
+often done wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise)."""
 
 _EXTRA_WIDTH = {
     "dance": -0.5,

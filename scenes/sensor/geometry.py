@@ -44,12 +44,8 @@ class Sensor:
     depth_noise: DepthNoise = _V2_NOISE
     """Noise of a pixel's depth, by default at normal incidence (Fankhauser et al. 2015,
     Kinect v2 for mobile robot navigation)."""
-    structured_light: bool = False
-    """True if depth comes from disparity in steps of 1/8 pixel, False if it comes from
-    the time of flight in steps of 1 mm."""
-    dropped_share: float = 0.014
-    """Share of frames that never arrive, in [0, 1]. In labanotation takes, 0.5 to 2.9 %
-    of steps are two frames long (tests/calibrate_kinect.py)."""
+    structured_light: bool = False  # depth in steps of 1/8 pixel, not of 1 mm
+    dropped_share: float = 0.014  # of frames; in labanotation takes 0.5 to 2.9 %
     stamp_jitter: float = 0.0003  # deviation [s], from labanotation takes
 
     def pixels(self, depth: Array) -> Array:

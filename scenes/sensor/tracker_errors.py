@@ -76,9 +76,7 @@ class TrackerErrors:
     foreshortening: float = 0.1
     """Share of the way that a joint moves toward the surface of a limb that points at
     the sensor. Recordings give -0.3 to 0.3 depending on the joint, no clearer value."""
-    posture_error: float = 0.015
-    """Standard deviation per axis of the mean joint's error that recurs with the
-    posture [m], as the tracker was not trained on this person in this posture."""
+    posture_error: float = 0.015  # deviation per axis that recurs with a posture [m]
     posture_scale: float = 0.8  # change of directions that decorrelates it, norm
     wobble: float = 0.047  # deviation of the mean joint in fast motion, per axis [m]
     calm: float = 0.12  # share of this wobble that remains when the joint is still
@@ -104,10 +102,7 @@ class TrackerErrors:
     jump: float = 0.04  # deviation of a guess's first jump, per axis [m]; a guess
     swap_rate: float = 2.0  # 1/s, among limbs of the other side alone; a guess
     swap_time: float = 0.4  # s, mean duration of a swap; a guess
-    mirrored_beyond: float = 2.0
-    """Angle between the person's heading and the direction to the sensor beyond which
-    left and right are swapped [rad]; pi: never. Kinect's trackers assume that people
-    face the sensor."""
+    mirrored_beyond: float = 2.0  # rad off the sensor from which sides swap; pi: never
 
 
 def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:

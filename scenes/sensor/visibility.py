@@ -33,9 +33,7 @@ class Sight:
     """How much of each joint a sensor sees; vectors are in the motion's world."""
 
     visible: Array  # share of the part that nothing hides, in [0, 1], shape (T, J)
-    pull: Array
-    """Vector from the center of the part's surface to the center of its visible surface
-    [m], zero if all or nothing is visible, shape (T, J, 3)."""
+    pull: Array  # from the part's to its visible surface's center [m], (T, J, 3)
     front: Array
     """How much nearer to the sensor the visible surface is than the joint's own radius
     implies [m], large for a limb that points at the sensor, shape (T, J)."""

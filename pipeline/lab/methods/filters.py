@@ -16,9 +16,7 @@ from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.retarget import BoneLengths
 from kinefilter.retarget.body_size import chain_matrix
 
-SENSOR_NOISE, LOST_NOISE = 0.01, 0.3
-"""Standard deviation [m] of a fully reliable joint (jitter) and of an unreliable one,
-which may be off by a forearm. Guesses."""
+SENSOR_NOISE, LOST_NOISE = 0.01, 0.3  # m, reliable and lost: deviations, guesses
 ACCELERATION_DENSITY = 2.5  # m^2/s^3: 5 m/s^2 for a tenth of a second
 FIRST_SPEED = 1.0  # m/s: standard deviation for a joint not seen before
 LONGEST_PREDICTION = 0.5  # s that a missing joint keeps its velocity: half a reach

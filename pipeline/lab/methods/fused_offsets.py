@@ -23,9 +23,8 @@ _LEAST = 1e-8  # m^2: a tenth of a millimeter, which is invisible
 _RELIABLE = 0.9  # reliability from which a joint's error counts as a reliable joint's
 _DOUBTED = 0.7
 """Reliability up to which a joint's measured position is ignored: Chiang's minimum for
-training data. In the first frame in which the sensor guesses, Shum's reliability, a
-mean over six frames, is still 0.7. At 0.3 a limb would be held where the first guesses
-jump to."""
+training data, and Shum's reliability in the first frame in which the sensor guesses. At
+0.3 a limb would be held where the first guesses jump to."""
 
 
 def least_energy(

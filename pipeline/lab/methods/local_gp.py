@@ -47,9 +47,7 @@ class LocalGP(FusedOffsets):
     times ``precision``, which also discounts models without a sample nearby."""
     adapt: bool = False  # learn from the corrected frames themselves, until ``start``
     adapt_reliability: float = 0.9  # minimum reliability of a joint to learn from
-    spare: int = 20
-    """Number of samples per local model, and of models per joint, that may be added
-    while adapting; once full, the least informative sample is replaced."""
+    spare: int = 20  # samples per model, and models per joint, that adapting may add
 
     fitted = (
         *("features", "offsets", "counts", "centers", "reach", "certain"),

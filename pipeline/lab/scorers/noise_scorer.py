@@ -16,9 +16,7 @@ SAMPLES = 5  # positions a cubic is subtracted from, one more than it can fit
 MEMORY = 0.2
 """Time constant [s] of the means of squared noise and squared length errors: as long as
 the window of Shum's reliability. On paired data 0.1 to 1 s do about as well."""
-RECOVERY = 0.1
-"""Time constant [s] in which a joint becomes reliable again once it is tracked: 0.85
-after 0.2 s, like Shum's reliability."""
+RECOVERY = 0.1  # s, to be reliable once tracked: 0.85 after 0.2 s, as Shum's
 MOTION_SHARE = 0.1
 """Part of a person's own motion that a cubic does not explain, relative to the distance
 covered per frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching, sword
