@@ -111,7 +111,7 @@ class TrainingFrames:
         skeleton: Skeleton,
         samples: int,
         seed: int,
-        least: float = 0.0,
+        least_reliability: float = 0.0,
     ) -> Self:
         """Draw frames in which learned joints are reliable; InputError if too few."""
         training.check_skeleton(skeleton)
@@ -123,7 +123,7 @@ class TrainingFrames:
         # Requiring a joint that is mostly absent would leave too few frames.
         usual, common = counts / len(training) > 0.5
         joints = np.flatnonzero(common)
-        rows = _complete_frames(training, joints, least)
+        rows = _complete_frames(training, joints, least_reliability)
         if len(rows) < _LEAST_FRAMES or not len(joints):
             raise InputError(
                 f"{training.source}: {len(rows)} frames with every joint reliable "
