@@ -95,8 +95,7 @@ def _errors_on(
 ) -> Errors:
     trainer, prior = CorrectorFactory(train), train_prior_on(train)
     none = _whole(CleanConfig("none", physics=False), None, prior)
-    raw = _unleveled(lambda take: Hold(take.skeleton).fill(take.positions))
-    runners: dict[str, Runner] = {"raw": raw, "none": none}
+    runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
         corrector = trainer.corrector(system)
         runners[system.label] = (
@@ -105,6 +104,11 @@ def _errors_on(
             else _unleveled(correction(system.config, corrector))
         )
     return {name: _means(test, run, guesses) for name, run in runners.items()}
+
+
+def _raw(take: Take) -> tuple[Array, Turn]:
+    """Return a take's joints, with missing ones on their last bones, not leveled."""
+    return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
 
 
 def _whole(config: CleanConfig, method: Corrector | None, prior: MotionPrior) -> Runner:
