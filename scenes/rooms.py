@@ -17,8 +17,7 @@ _FOLDER = Path(__file__).parent
 SCENES = tuple(sorted(path.stem for path in _FOLDER.glob("*.xml")))
 """Names of the built-in scenes: the settings of Shum et al. 2013, table II."""
 
-SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"
-"""The built-in sample take."""
+SAMPLE = _FOLDER / "takes" / "wave_punch_bend.csv"  # the built-in sample take
 
 _PREFIX = "attached--"  # removed again, so no name in a scene may begin with it
 _SKIN = [0.37, 0.53, 0.60, 1.0]  # a muted color that no prop has
@@ -35,14 +34,16 @@ def load_scene(
     If a body is given, the character of ``build_humanoid`` is at the origin in T-pose,
     and so are those of ``build_humanoids`` if several are. They keep all their names,
     actuators, options and the settings of their floor, which takes on the look of the
-    scene's. They come first in the model, so the first seven coordinates are those of
-    the first one's root. Raises an InputError if there is no such scene,
-    MuJoCo cannot load it, or a name in it is also one of the character's.
+    scene's, and come first in the model. Raises an InputError if there is no such
+    scene, MuJoCo cannot load it, or a name in it is also one of the character's.
     """
     path = _path(scene)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        _resolve_assets(spec, path)
+        if any(asset.file for asset in (*spec.meshes, *spec.hfields, *spec.skins)):
+            spec.meshdir = str((path.parent / spec.meshdir).resolve())
+        if any(texture.file or any(texture.cubefiles) for texture in spec.textures):
+            spec.texturedir = str((path.parent / spec.texturedir).resolve())
         if body is not None:
             bodies = [body] if isinstance(body, Body) else body
             spec = _merged(build_humanoids(bodies, tracking), spec)
@@ -57,11 +58,7 @@ def load_scene(
 
 
 def scene_xml(scene: str | Path, body: Body | None = None) -> str:
-    """Return a scene as self-contained MJCF that MuJoCo can load from anywhere.
-
-    Only the meshes and textures of users' scenes stay in their files, with absolute
-    paths. Arguments and errors are those of ``load_scene``.
-    """
+    """Return ``load_scene`` as self-contained MJCF, but for users' asset files."""
     spec = load_scene(scene, body)
     spec.compiler.savecompiled = False  # keeps all numbers as they were written
     return str(spec.to_xml())
@@ -91,22 +88,13 @@ def _merged(character: mujoco.MjSpec, scene: mujoco.MjSpec) -> mujoco.MjSpec:
     character.visual, character.stat = scene.visual, scene.stat
     scene.option = character.option
     character.meshdir, character.texturedir = scene.meshdir, scene.texturedir
-    frame = character.worldbody.add_frame()
-    character.attach(scene, frame=frame, prefix=_PREFIX)
+    character.attach(scene, frame=character.worldbody.add_frame(), prefix=_PREFIX)
     # Attaching needs a prefix, but all later readers need the names without it. Only
     # the root of the default classes would then have the name of another.
     character.compiler.savecompiled = False
     text = str(character.to_xml())
     text = text.replace(f'class="{_PREFIX}main"', 'class="main:scene"')
     return mujoco.MjSpec.from_string(text.replace(_PREFIX, ""))
-
-
-def _resolve_assets(scene: mujoco.MjSpec, path: Path) -> None:
-    """Make the paths of meshes and textures absolute."""
-    if any(a.file for a in (*scene.meshes, *scene.hfields, *scene.skins)):
-        scene.meshdir = str((path.parent / scene.meshdir).resolve())
-    if any(texture.file or any(texture.cubefiles) for texture in scene.textures):
-        scene.texturedir = str((path.parent / scene.texturedir).resolve())
 
 
 def _move_floor(scene: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:

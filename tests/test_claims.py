@@ -123,11 +123,11 @@ def test_a_claim_is_judged_by_the_cell_of_its_study(
     monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM, recorded, absent])
     (tmp_path / "small.csv").write_text("what,cm\none,0.503\ntwo,0.9\n", "utf-8")
     one, two, three = claims.judge(tmp_path, ["small"], recordings=True)
-    assert (one.measured, one.held, one.words) == (0.503, True, "yes")
-    assert (two.measured, two.held, two.words) == (0.9, False, "no")
+    assert (one.measured, one.held, one.row[-1]) == (0.503, True, "yes")
+    assert (two.measured, two.held, two.row[-1]) == (0.9, False, "no")
     assert (three.measured, three.held) == (None, False)
     two = claims.judge(tmp_path, ["small"], recordings=False)[1]
-    assert (two.held, two.words) == (None, "not measured: no recordings")
+    assert (two.held, two.row[-1]) == (None, "not measured: no recordings")
     assert claims.judge(tmp_path, ["other"], recordings=True) == []
     quick = claims.judge(tmp_path, ["small"], recordings=True, quick=True)
     assert [verdict.held for verdict in quick] == [None, None, None]

@@ -1,9 +1,7 @@
 """Errors of a motion against the ground truth of marker mocap or a simulation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -19,8 +17,7 @@ LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 
 FAR = 0.07  # m: offset-free error above which a joint counts as wrong
-MISPLACED = 0.12
-"""Offset-free error [m], averaged over half a second, that a clip should warn about."""
+MISPLACED = 0.12  # m, likewise, averaged over half a second, to warn about
 _AVERAGED = 0.5  # s over which that error is averaged
 
 
@@ -44,10 +41,7 @@ class Accuracy:
         return self.distances(self._standard(positions), self._standard(truth))
 
     def varying(self, positions: Array, truth: Array) -> Array:
-        """Return E_var [m]: each joint's constant offset is removed first, (T, 12).
-
-        This is the error that an animator sees as wrong motion.
-        """
+        """Return E_var [m], less each joint's constant offset, (T, 12)."""
         away = self.away(positions, truth)
         return np.asarray(np.linalg.norm(away - mean_of_known(away), axis=2))
 
@@ -60,10 +54,7 @@ class Accuracy:
         return np.asarray((positions - middle)[:, self.limbs])
 
     def _standard(self, positions: Array) -> Array:
-        """Keep the direction of each bone and give it the standard length.
-
-        The trunk is one bone, because mocap often has no spine joint.
-        """
+        """Give bones standard lengths; the trunk is one, for mocap without a spine."""
         skeleton = self.skeleton
         standard = np.full_like(positions, np.nan)
         standard[:, skeleton.root] = 0.0
@@ -84,10 +75,7 @@ def mean_of_known(values: Array) -> Array:
 
 
 def within_uncertainty(ratios: Array) -> tuple[float, float] | None:
-    """Return the percentages of coordinates with errors below 1 and 1.96 uncertainties.
-
-    ``ratios`` are absolute errors divided by uncertainties, NaN where unknown.
-    """
+    """Return percentages of known errors below 1 and 1.96 uncertainties, or None."""
     known = ratios[~np.isnan(ratios)]
     if not known.size:
         return None
@@ -102,23 +90,18 @@ class _Person:
     standardized: list[Array] = field(default_factory=list)
     varying: list[Array] = field(default_factory=list)
     jitters: list[float] = field(default_factory=list)
-    ratios: list[Array] = field(default_factory=list)
-    """Absolute errors of coordinates, divided by the clip's uncertainty."""
-    wrong: list[Flags] = field(default_factory=list)
-    """Whether a raw joint has an offset-free error above ``FAR``."""
-    moved: list[Array] = field(default_factory=list)
-    """Offset-free distance by which the method moved that joint [m]."""
+    ratios: list[Array] = field(default_factory=list)  # errors over uncertainties
+    wrong: list[Flags] = field(default_factory=list)  # raw joints beyond ``FAR``
+    moved: list[Array] = field(default_factory=list)  # how far, without offset [m]
     movements: list[str] = field(default_factory=list)
-    """The movement in each clip."""
     misplaced: list[tuple[bool, bool]] = field(default_factory=list)
-    """Per clip: whether a limb was misplaced, and whether a warning said so."""
+    """Whether a limb was misplaced, and whether a warning said so."""
 
     def figures(self) -> dict[str, float | None]:
         """Return means over frames and joints [cm], and the jitter [m/s^3].
 
-        ``within_68`` and ``within_95`` are percentages of coordinates with errors below
-        the uncertainty and below 1.96 times the uncertainty. ``found`` is the area
-        under the ROC curve of how far a joint was moved, for wrong raw joints.
+        ``found`` is the area under the ROC curve of how far a joint was moved, for
+        wrong raw joints; for the others see ``within_uncertainty``.
         """
         distances = np.concatenate(self.distances)
         within = within_uncertainty(np.concatenate(self.ratios or [np.empty(0)]))
@@ -152,11 +135,10 @@ class Tally:
         *,
         warned: bool = False,
     ) -> None:
-        """Add a clip.
+        """Add a clip of a raw take and its truth, cleaned in a time [s].
 
-        It consists of the raw take with its truth, the joint positions of the method's
-        clip [m], shape (T, J, 3), the computing time [s], the uncertainty of the joints
-        [m], shape (T, J), and whether cleaning warned of displaced limbs.
+        Positions [m] have shape (T, J, 3), their uncertainty [m] has (T, J); ``warned``
+        tells whether cleaning warned of displaced limbs.
         """
         person = self._people.setdefault(pair.subject, _Person())
         accuracy, truth = self._accuracy, pair.truth
@@ -179,7 +161,7 @@ class Tally:
         self._seconds += seconds
         self._frames += len(positions)
 
-    def extend(self, other: Tally) -> None:
+    def extend(self, other: Self) -> None:
         """Add the clips of another tally."""
         for name, person in other._people.items():
             mine = self._people.setdefault(name, _Person())
@@ -195,8 +177,7 @@ class Tally:
             clips = list(zip(person.movements, person.varying, strict=True))
             for movement in dict.fromkeys(person.movements):
                 varying = np.concatenate([v for m, v in clips if m == movement])
-                mean = float(np.nanmean(varying) * 100)
-                errors.setdefault(movement, {})[name] = mean
+                errors.setdefault(movement, {})[name] = float(np.nanmean(varying) * 100)
         return errors
 
     def summary(self) -> dict[str, Any]:
@@ -216,7 +197,7 @@ class Tally:
             **means,
             "ms_per_frame": self._seconds / self._frames * 1e3,
             "joints": {
-                name: None if np.isnan(mean) else float(mean) for name, mean in joints
+                name: None if np.isnan(cm) else float(cm) for name, cm in joints
             },
             "clips_off": sum(off for off, _ in clips),
             "clips_off_told": sum(off and warned for off, warned in clips),

@@ -37,8 +37,7 @@ class Timed(Stage):
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
         self.name = stage.name
-        self.seconds: list[float] = []
-        """Time of each frame or, offline, of each take [s]."""
+        self.seconds: list[float] = []  # of each frame or, offline, take
 
     def start(self, body: Body) -> None:
         """Reset the stage for a new motion."""
@@ -58,10 +57,7 @@ class Timed(Stage):
 
 
 def bench(path: Path | None = None) -> dict[str, Any]:
-    """Return milliseconds per frame of every stage, and compare the two searches.
-
-    ``path`` is the take to clean, by default the sample that ships with kinefilter.
-    """
+    """Return the times of cleaning a take, by default the sample that ships."""
     take = read_take(path or SAMPLE)
     return {
         **_time_stages(take),
@@ -83,7 +79,6 @@ def _time_offline(take: Take) -> dict[str, float]:
 
 
 def _compare_searches(take: Take, corrector: LocalPCA) -> dict[str, float]:
-    """Compare the solver with the paper's sampling in the same posture spaces."""
     cleaner = Cleaner().until("standardize")
     cleaner.start(measure_body(take))
     generator = np.random.default_rng(0)
@@ -137,7 +132,6 @@ def _time_stages(take: Take) -> dict[str, Any]:
 
 
 def _time_avatar(take: Take, body: Body) -> float:
-    """Return the time per frame of the live character [ms], checks included."""
     avatar, times = Avatar(body), []
     for k in range(len(take)):
         start = perf_counter()
@@ -147,10 +141,7 @@ def _time_avatar(take: Take, body: Body) -> float:
 
 
 def _bare_physics(character: PulledCharacter, spare: mujoco.MjData, dt: float) -> float:
-    """Return the time that the engine alone takes for the substeps of a frame [s].
-
-    It starts from the character's state and uses spare data, to leave it unchanged.
-    """
+    """Return the time that the engine alone takes for the substeps of a frame [s]."""
     substeps = prod(steps_in(dt))
     character.model.opt.timestep = dt / substeps
     mujoco.mj_copyData(spare, character.model, character.data)

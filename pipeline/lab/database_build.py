@@ -20,12 +20,8 @@ from kinefilter.pipeline.reliability import (
     measure_body,
     segment_lengths,
 )
-from kinefilter.retarget.body_size import Standardizer
-from kinefilter.retarget.heading_frame import find_yaw
-from kinefilter.retarget.orientation import (
-    fill_missing_joints,
-    rotations_from_positions,
-)
+from kinefilter.retarget import Standardizer, find_yaw, rotations_from_positions
+from kinefilter.retarget.orientation import fill_missing_joints
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool
@@ -50,8 +46,8 @@ def database_from_mocap(
     """Build a database for the takes of a skeleton from mocap files.
 
     Files are BVH, AMC with its ASF, C3D or TRC, in any unit, with the joint names of
-    ``retarget/source_rigs``. The threshold rule keeps about ``count`` postures. Raises
-    an InputError if there is no file, or if one lacks a joint.
+    ``retarget/source_rigs``; InputError without any, or if one lacks a joint. The
+    threshold rule keeps about ``count`` postures.
     """
     skeletons = [file for file in files if file.suffix.lower() == ".asf"]
     motions = [file for file in files if file not in skeletons]
@@ -69,10 +65,7 @@ def database_from_mocap(
 def database_from_pairs(
     pairs: Iterable[PairedTake], skeleton: Skeleton, *, count: int = FILTERED_POSTURES
 ) -> PostureDatabase:
-    """Build a database from the mocap in pairs, like ``database_from_mocap``.
-
-    Raises an InputError if the pairs contain no mocap, or are of another skeleton.
-    """
+    """Build a database from the mocap in pairs, like ``database_from_mocap``."""
     people: set[str] = set()
     truths = _truths(pairs, skeleton, people)
     database = filtered_database(truths, skeleton, "pairs", count)
@@ -106,14 +99,9 @@ def _truths(
 def scripted_database(
     skeleton: Skeleton, progress: Progress = silent
 ) -> PostureDatabase:
-    """Perform every scripted motion and keep postures that differ.
-
-    The result ships in ``pipeline/embedded`` as the built-in database.
-    """
-    parts = scripted_postures(skeleton, progress)
-    return filtered_database(
-        parts, skeleton, "built-in", BUILTIN_POSTURES, recorded=False
-    )
+    """Return the built-in database: postures of all scripted motions that differ."""
+    parts, count = scripted_postures(skeleton, progress), BUILTIN_POSTURES
+    return filtered_database(parts, skeleton, "built-in", count, recorded=False)
 
 
 def scripted_postures(
@@ -121,8 +109,8 @@ def scripted_postures(
 ) -> Iterator[tuple[str, Array, Array]]:
     """Yield the name, postures and segment rotations of every scripted performance.
 
-    The performers differ in height and build; the postures are on the standard body, 30
-    a second.
+    The performers differ in height and build, and the postures are on the standard
+    body, 30 a second.
     """
     # All motions by one person, then by the next: the filter keeps earlier postures.
     for k in progress("motion database", people * len(MOTIONS)):
@@ -171,13 +159,9 @@ def filtered_database(
 def standard_postures(
     positions: Array, rotations: Array | None, body: Body
 ) -> tuple[Array, Array]:
-    """Return postures and segment rotations on the standard body, without yaw.
-
-    Joints that the source lacks get their rest offset from their parent.
-    """
+    """Return postures and segment rotations on the standard body, without yaw."""
     standard = standard_body(body.skeleton)
-    weights = np.ones(positions.shape[:2])
-    postures, view = Standardizer(body).steps(positions, weights)
+    postures, view = Standardizer(body).steps(positions, np.ones(positions.shape[:2]))
     if rotations is not None:
         rotations = view.remove_rotations(rotations)
     postures = fill_missing_joints(postures, standard)
@@ -202,10 +186,9 @@ def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
 
 
 def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
-    """Return the file's unit [m] and the body of the performer.
+    """Return the file's unit [m] and the performer's body by positions (T, J, 3).
 
-    Bone lengths are those of the mocap, and average where it has none; positions have
-    shape (T, J, 3).
+    Bones that the mocap lacks have average lengths.
     """
     lengths = column_medians(segment_lengths(positions, skeleton))
     ends, average = skeleton.segments, standard_body(skeleton)
@@ -223,10 +206,7 @@ def whole_frames(positions: Array) -> Flags:
 
 
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
-    """Return rotations relative to a T-pose in the first frame, as mocap often has.
-
-    None without a T-pose there: the twist of the bones is then unknown.
-    """
+    """Return rotations relative to a T-pose in the first frame; None without one."""
     skeleton = body.skeleton
     heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
     parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]

@@ -52,14 +52,10 @@ def evaluate(
 ) -> dict[str, Any]:
     """Return the errors of methods, in cm, and their speed.
 
-    Each method takes the place of the correction stage, and the clip that ``clean``
-    then makes is compared with the ground truth. ``none`` corrects nothing.
-
     Arguments are the options of ``kinefilter evaluate``, which explains them, with
-    clips in place of files; ``assigned`` is its ``--set``, and ``every`` tests every
-    Nth clip only. ``database`` is by default the built-in one, and with ``mocap`` made
-    of the training clips. Raises an InputError if a method is unknown, or if people or
-    repetitions are too few.
+    clips in place of files; ``assigned`` is its ``--set``. ``database`` is by default
+    the built-in one, and with ``mocap`` made of the training clips. Raises an
+    InputError if a method is unknown, or if people or repetitions are too few.
     """
     for items, kind, what in (
         (methods, str, "methods"),
@@ -105,10 +101,7 @@ def evaluate(
 
 
 def _worse_than_none(tallies: dict[str, Tally]) -> dict[str, tuple[int, int]]:
-    """Count the people's movements whose E_var is over 1 % above that of ``none``.
-
-    Returns their number, and the number of all, by method.
-    """
+    """Count the movements with an E_var over 1 % above that of ``none``, and all."""
     if "none" not in tallies:
         return {}
     errors = {name: tally.by_movement() for name, tally in tallies.items()}
@@ -136,10 +129,9 @@ def _test(
     if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
         return {label: tally_clips(*job, progress) for label, job in jobs.items()}
     with workers() as pool:
-        results = [(name, pool.submit(tally_clips, *job)) for name, job in jobs.items()]
-        return {
-            name: result.result() for name, result in over(results, "test", progress)
-        }
+        results = {name: pool.submit(tally_clips, *job) for name, job in jobs.items()}
+        shown = over(list(results), "test", progress)
+        return {name: results[name].result() for name in shown}
 
 
 def tally_clips(
@@ -234,9 +226,9 @@ def repetition(pair: PairedTake) -> int:
 def reliability_auc(pairs: Sequence[PairedTake]) -> dict[str, dict[str, float | None]]:
     """Return how well each scoring finds limb joints with large errors.
 
-    The figures are areas under the ROC curve of 1 - reliability, for joints with
-    errors over 10 cm, and for joints with errors over 7 cm without their constant
-    offset. They are None if there are none or only such joints.
+    The figures are areas under the ROC curve of 1 - reliability for joints over 10 cm
+    off, and over 7 cm without their constant offset; None if there are none or only
+    such joints.
     """
     wrong: dict[str, list[Flags]] = {"over_10_cm": [], "varying_over_7_cm": []}
     doubt: dict[str, list[Array]] = {name: [] for name in SCORERS}
@@ -274,12 +266,10 @@ def as_table(figures: dict[str, Any]) -> Table:
     table = Table(Column("method", no_wrap=True), *headings, title=title)
     raw = figures["methods"]["raw"]
     for name, row in figures["methods"].items():
+        errors = (f"{row[k]:.2f} {row[k] / raw[k] - 1:+4.0%}" for k in headings[:3])
         table.add_row(
             name,
-            *(
-                f"{row[key]:.2f} {row[key] / raw[key] - 1:+4.0%}"
-                for key in ("E", "E_std", "E_var")
-            ),
+            *errors,
             f"{row['p95']:.1f}",
             f"{row['jitter']:.0f}",
             f"{row['ms_per_frame']:.2f}",

@@ -1,9 +1,4 @@
-"""Errors of reconstructed limbs that were hidden in recorded takes.
-
-A visible limb is hidden in the middle of a clip and the take is cleaned. The hidden
-joints are compared with those of the take cleaned with nothing hidden, and with marker
-mocap; simple guesses serve as baselines.
-"""
+"""Errors of limbs hidden in recorded takes, beside mocap and simple guesses."""
 
 import re
 import zlib
@@ -22,7 +17,6 @@ from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
@@ -88,17 +82,16 @@ def measure_hidden(
     """Hide limbs in clips and measure the errors after cleaning.
 
     Methods, presets and ``assigned`` are as for ``systems_of``. Methods that learn are
-    trained on the clips of the other people, with nothing hidden. The prior for hidden
-    limbs is the one that ships, or with ``recordings`` one that is trained on these and
-    on the clips of the other people. Only every Nth take is cleaned.
+    trained on the clips of the other people, with nothing hidden, and so is, with
+    ``recordings`` in addition, the prior for hidden limbs; by default it is the one
+    that ships. Only every Nth take is cleaned.
 
     Returns a record of each gap, and the number of gaps that were too long for their
     clip. Errors [cm] are means over frames and joints, of the method, of the clip with
     nothing hidden (``seen``) and of the baselines in ``SIMPLE``: relative to that clip
-    (``unhidden``) and to the ground truth (``mocap``). ``within`` holds the percentages
-    of hidden coordinates with errors below 1 and 1.96 uncertainties; None in live mode
-    and without ground truth. Raises an InputError if a method is unknown, or if the
-    gaps fit into no clip.
+    (``unhidden``) and to the ground truth (``mocap``). ``within`` is
+    ``within_uncertainty`` of the hidden coordinates; None in live mode and without
+    ground truth. Raises an InputError if a method is unknown, or no gap fits.
     """
     systems = systems_of(methods, presets, assigned, physics=options.physics)
     cases = list(join_cases(pairs, options.context))[:: as_step(every)]
@@ -125,7 +118,7 @@ def measure_hidden(
     return [record for records in done for record in records], skipped
 
 
-class _Trained(NamedTuple):
+class _Ready(NamedTuple):
     """A system, with a corrector and a prior if they are not the default ones."""
 
     system: System
@@ -141,10 +134,9 @@ def _folds(
     options: HiddenLimbs,
     pool: Executor,
     progress: Progress,
-) -> Iterator[tuple[list[Case], list[_Trained]]]:
-    """Yield takes, and the systems that are to clean them."""
+) -> Iterator[tuple[list[Case], list[_Ready]]]:
     learning = [system for system in systems if system.learns or recordings]
-    yield cases, [_Trained(system) for system in systems if system not in learning]
+    yield cases, [_Ready(system) for system in systems if system not in learning]
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
@@ -161,22 +153,16 @@ def _folds(
         own = [c for c in cases if c.hidden and c.hidden[0][0].subject == person]
         if not own:
             continue
-        school = CorrectorFactory(
-            [pair for pair in pairs if pair.subject != person],
-            own[0].take.skeleton,
-            people=False,
-            database=builtin_database(own[0].take.skeleton),
-            progress=progress,
-        )
+        rest = [pair for pair in pairs if pair.subject != person]
+        school = CorrectorFactory(rest, own[0].take.skeleton, progress=progress)
         others = joined(lesson for lesson in lessons if lesson.person != person)
         prior = train_prior(others, pool) if recordings else None
         correctors = [school.corrector(s) if s.learns else None for s in learning]
         ready = zip(learning, correctors, strict=True)
-        yield own, [_Trained(*each, prior) for each in ready]
+        yield own, [_Ready(*each, prior) for each in ready]
 
 
 def _frames(gap: str, count: int, fps: float) -> int:
-    """Return the length in frames of a gap in a clip of ``count`` frames."""
     percent, number = gap.endswith("%"), gap.removesuffix("%")
     valid = re.fullmatch(r"\d{0,4}\.?\d{1,9}", number)
     if not valid or (percent and float(number) >= 100):
@@ -235,9 +221,7 @@ def _cleaned(
     return followed(cleaner, take, unhidden), None, (0.0, 0.0)
 
 
-def _measure(
-    cases: list[Case], trained: _Trained, options: HiddenLimbs
-) -> list[Record]:
+def _measure(cases: list[Case], trained: _Ready, options: HiddenLimbs) -> list[Record]:
     """Clean takes with a system, once with nothing hidden and once for each limb."""
     system, corrector, prior = trained
     records, method, cleaner = [], system.label, _cleaner(system.config)
@@ -288,7 +272,6 @@ def _measure(
 
 
 def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
-    """Return mean distances [cm], None if the truth is unknown."""
     away = {k: np.linalg.norm(limb - truth, axis=2) * 100 for k, limb in limbs.items()}
     known = ~np.isnan(next(iter(away.values())))
     return {k: float(a[known].mean()) if known.any() else None for k, a in away.items()}
@@ -297,9 +280,8 @@ def _errors(limbs: dict[str, Array], truth: Array) -> dict[str, float | None]:
 def summarize(records: Sequence[Record], by: By | None = None) -> list[Record]:
     """Return a row for each limb, value of ``by``, and method or baseline.
 
-    Records are those of ``measure_hidden``. Means are over clips, then over people.
-    Baselines are those of the last method's clips, but percentages of hold relate each
-    method to hold on its own clips.
+    Means are over clips, then over people. Baselines are those of the last method's
+    clips, but percentages of hold relate each method to hold on its own clips.
     """
     groups: dict[tuple[str, str, str], list[Record]] = {}
     for record in records:

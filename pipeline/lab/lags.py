@@ -1,8 +1,7 @@
 """Finds the lag and drift between a take and mocap of the same movement.
 
-Distances between joints do not depend on the frame of reference, so they give the lag
-before the recordings are aligned in space. Their correlation is maximized on a grid;
-then the lag is refined by minimizing the motion that one rigid transform leaves.
+Distances between joints, which need no common frame of reference, are correlated on a
+grid; then the lag is refined by minimizing the motion that a rigid transform leaves.
 """
 
 from typing import NamedTuple
@@ -36,17 +35,15 @@ def distances(track: Track) -> Array:
     count = int((track.time[-1] - track.time[0]) * _RATE) + 1
     positions = track.at(track.time[0] + np.arange(count) / _RATE)
     one, other = np.triu_indices(positions.shape[1], 1)
-    apart = positions[:, one] - positions[:, other]
-    return np.asarray(np.linalg.norm(apart, axis=2))
+    return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))
 
 
 def best_lag(first: Array, second: Array, least: float) -> Lag | None:
     """Return the lag of the highest correlation, or None if the overlap is too short.
 
-    The lag is the time in the second recording at which the first one begins.
-
-    Distances [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F). The
-    recordings overlap by ``least`` [s] or more.
+    The lag is the time in the second recording at which the first one begins. Distances
+    [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F); they overlap
+    by ``least`` [s] or more.
     """
     lags, correlation, common = correlations(first, second)
     valid = (common >= least * _RATE) & ~np.isnan(correlation)
@@ -74,20 +71,16 @@ def refine_lag(take: Track, mocap: Track, clock: Clock) -> Clock:
         return float(np.nanmean(np.log1p(varying / SIGMA**2)))
 
     bounds = (clock.lag - 2.0 / _RATE, clock.lag + 2.0 / _RATE)
-    best = minimize_scalar(
-        cost, bounds=bounds, method="bounded", options={"xatol": _PRECISION}
-    )
+    best = minimize_scalar(cost, bounds=bounds, options={"xatol": _PRECISION})
     return clock._replace(lag=float(best.x))
 
 
 def find_drift(first: Array, second: Array, clock: Clock) -> Clock | None:
     """Return the clock with its drift, or None if the drift may be zero.
 
-    The lag is found in windows of a few seconds; the drift is the slope of the
-    Theil-Sen line through these lags.
-
-    Distances [m] are as for ``best_lag``, and those in ``first`` begin with the first
-    recording; ``clock`` has no drift yet.
+    The drift is the slope of the Theil-Sen line through the lags of windows of a few
+    seconds. Distances [m] are as for ``best_lag``, and those in ``first`` begin with
+    the first recording; ``clock`` has no drift yet.
     """
     width, hop = round(_WINDOW * _RATE), round(_HOP * _RATE)
     margin = round((_MARGIN + _LARGEST_DRIFT * len(first) / _RATE) * _RATE)

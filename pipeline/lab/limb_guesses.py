@@ -67,12 +67,10 @@ def simple_guesses(
 
     In the heading frame, the directions of the hidden bones are held, interpolated
     from the last visible frame to the next (slerp), or smoothed by second differences
-    through the frames around the gap (Whittaker's spline). Everything else is kept,
-    and so are joints that are missing in a frame. Draw the spline into the raw take,
-    not the cleaned motion, whose frames beside the gap are smoothed with those in it.
-
-    ``positions`` [m] have nothing hidden, shape (T, J, 3); the limb is visible in the
-    frames before and after the span, in which ``joints`` are hidden.
+    through the frames around the gap (Whittaker's spline). Joints that are missing in a
+    frame stay so. Draw the spline into the raw take, not the cleaned motion, whose
+    frames beside the gap are smoothed with those in it. ``positions`` [m] have nothing
+    hidden, shape (T, J, 3).
     """
     yaw = find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
     frame = HeadingFrame(positions[:, skeleton.root], yaw)

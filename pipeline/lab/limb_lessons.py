@@ -1,8 +1,7 @@
 """Trains the prior for hidden limbs on recordings in which the limbs were visible.
 
 ``python -m kinefilter.pipeline.lab.limb_lessons OUT.npz RECORDINGS...`` writes the
-weights of ``reconstruct.prior``. Recordings are pairs files, takes, or mocap in BVH; in
-each, limbs are treated as hidden for random intervals, and as unseen throughout. It
+weights of ``reconstruct.prior``; recordings are pairs files, takes, or mocap in BVH. It
 then prints, for each person and each third of the movements in the pairs, the errors of
 networks trained without them, in percent of the errors without networks.
 """
@@ -86,8 +85,7 @@ class Rows(NamedTuple):
 
 
 Floats = NDArray[np.floating[Any]]
-Lessons = dict[str, Rows]
-"""Training data by the name of the network."""
+Lessons = dict[str, Rows]  # training data by the name of the network
 
 
 class Lesson(NamedTuple):
@@ -99,10 +97,7 @@ class Lesson(NamedTuple):
 
 
 def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
-    """Hide limbs in random stretches of a recording, or in all of it.
-
-    The name of the recording is the random seed. ``modes`` are those of the networks.
-    """
+    """Hide limbs in stretches of a recording, drawn by its name, or in all of it."""
     draft = Cleaner().until("measure").whole(recording.take)
     rng = np.random.default_rng(zlib.crc32(recording.name.encode()))
     skeleton = draft.skeleton
@@ -135,11 +130,7 @@ def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
 
 
 def _hidden_rows(stretch: Stretches, modes: Sequence[Mode]) -> Iterator[Lessons]:
-    """Yield training data of a limb in a stretch, with time forward and backward.
-
-    People move backward in time much as they do forward. With both, networks erred some
-    2 % less for people and takes that they were not trained on.
-    """
+    """Yield training data of a limb, forward and backward in time: 2 % better."""
     seen, length = stretch.seen, stretch.length
     starts = len(seen.positions) - stretch.starts - length
     at = length - 1 - stretch.at[:, ::-1]
@@ -287,13 +278,10 @@ def joint_error(
     return loss.sum(axis=(1, 2)) / scale, gradient.reshape(outputs.shape)
 
 
-def read_lessons(
-    recordings: Iterable[Recording], modes: Sequence[Mode]
-) -> list[Lesson]:
+def read_lessons(recorded: Iterable[Recording], modes: Sequence[Mode]) -> list[Lesson]:
     """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
-        read = partial(lesson_of, modes=modes)
-        return list(pool.map(read, recordings))
+        return list(pool.map(partial(lesson_of, modes=modes), recorded))
 
 
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:

@@ -1,11 +1,9 @@
 """Recordings to learn the prior for hidden limbs from: pairs, takes and mocap."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -33,7 +31,7 @@ class Recording(NamedTuple):
     share: float = 1.0  # of its frames, to learn unseen arms from
 
     @classmethod
-    def of(cls, pair: PairedTake) -> Recording:
+    def of(cls, pair: PairedTake) -> Self:
         """Return the Kinect take of a pair."""
         names = pair.subject, pair.movement, pair.clip
         return cls(*names, pair.take, _SHARE_OF_PAIRS)
@@ -51,7 +49,6 @@ def recordings_in(file: Path) -> Iterator[Recording]:
 
 
 def _take_of_mocap(file: Path, name: str) -> Take:
-    """Return mocap as a take of a sensor with jitter."""
     mocap = read_mocap(file, [])
     positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
     meters, _ = mocap_body(positions, KINECT_V1)

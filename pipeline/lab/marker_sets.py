@@ -25,11 +25,9 @@ PLUG_IN_GAIT = Path(__file__).parent / "embedded" / "plug_in_gait.toml"
 _AXES = ("left", "up", "forward")  # x, y, z
 _JOINT_KEYS = {"at", "frame", "offset", "times"}
 _EXAMPLE = "see pipeline/lab/embedded/plug_in_gait.toml for an example"
-_LARGEST = 2.0
-"""Largest offset, in m or relative to ``times``: joints are closer to their markers."""
+_LARGEST = 2.0  # m, or relative to ``times``: largest offset of a joint
 
-Points = tuple[str, ...]
-"""Names of markers or joints, standing for the mean of their positions."""
+Points = tuple[str, ...]  # markers or joints, standing for their mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +42,10 @@ class _Joint:
 class MarkerSet:
     """A table that locates joints relative to markers."""
 
-    source: str
-    """The file."""
+    source: str  # the file
     frames: Mapping[str, Mapping[str, tuple[Points, Points]]]
     """Start and end of two of the axes left, up and forward, per part of the body."""
-    joints: Mapping[str, Mapping[str, _Joint]]
-    """Joints per skeleton, in the order in which they are computed."""
+    joints: Mapping[str, Mapping[str, _Joint]]  # in the order of computation
 
     def centers(
         self, markers: Mapping[str, Array], skeleton: Skeleton, *, offsets: bool = True
@@ -119,19 +115,17 @@ def joint_centers(
 ) -> Mocap:
     """Return mocap with the joints of a Kinect skeleton, in meters, NaN where missing.
 
-    The mocap has markers, or joints with names from ``retarget/source_rigs``. ``table``
-    locates joints among the markers; by default the mocap has joints, or the markers of
-    Plug-in Gait. Raises an InputError if it has neither, or if no unit of length fits.
+    ``table`` locates joints among the mocap's markers; by default the mocap has joints
+    with names from ``retarget/source_rigs``, or the markers of Plug-in Gait. Raises an
+    InputError if it has neither, or if no unit of length fits.
     """
-    positions, unit, meters = _joints(mocap, skeleton, table)
+    joints, unit, meters = _joints(mocap, skeleton, table)
     if not unit:
         raise InputError(
             f"{mocap.source}: in no unit of length are these the bones of a person; "
             "export the file in meters or millimeters"
         )
-    return Mocap(
-        skeleton.joints, meters * positions, None, mocap.frame_time, mocap.source
-    )
+    return Mocap(skeleton.joints, meters * joints, None, mocap.frame_time, mocap.source)
 
 
 def _joints(

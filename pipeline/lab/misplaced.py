@@ -1,11 +1,9 @@
 """Scores how likely a limb's joint is far from where the sensor places it.
 
-A sensor still reports a limb that it does not see: hanging, frozen, drifting or jumping
-between two guesses. A logistic regression recognizes this from the limb's motion and
-from the sensor's view. It was trained on people in front of two sensors, of which the
-frontal one showed which joints of the side-on one were off by more than 12 cm. The
-scores rank joints and are not calibrated: errors are much rarer in frontal views. No
-stage of cleaning uses them.
+A logistic regression recognizes limbs that the sensor guesses from their motion and the
+sensor's view. It was trained on people in front of two sensors, of which the frontal
+one showed which joints of the side-on one were off by more than 12 cm. The scores rank
+joints and are not calibrated. No stage of cleaning uses them.
 """
 
 import tomllib
@@ -37,10 +35,7 @@ _FARTHEST = 0.5  # m beyond which the opposite limb hides nothing
 
 
 def misplaced(take: Take) -> Array:
-    """Return a score in [0, 1] of each joint being 12 cm or more off, shape (T, J).
-
-    It is 0 for joints other than elbows, wrists, knees and ankles.
-    """
+    """Return a score in [0, 1] of each joint of PARTS being 12 cm off, shape (T, J)."""
     scores = np.zeros(take.positions.shape[:2])
     path = resources.files("kinefilter.pipeline.lab").joinpath("misplaced.toml")
     weights = tomllib.loads(path.read_text("utf-8"))
@@ -97,29 +92,27 @@ def describe_limbs(take: Take) -> Array:
             reach = (placed[:, j] - placed[:, begin]) * outwards
             mirrored = (placed[:, other] - placed[:, opposite]) * [-1.0, 1.0, 1.0]
             along = unit(positions[:, middle] - positions[:, begin])
-            features[:, j] = np.stack(
-                [
-                    np.abs(ratio[:, j]),
-                    np.abs(ratio[:, before]),
-                    np.abs(ratio[:, beyond]),
-                    length_jitter[:, j],
-                    mean_speed[:, j],
-                    mean_acceleration[:, j] / 30.0,
-                    leap[:, j],
-                    np.maximum(far, 0.0),
-                    np.maximum(-far, 0.0),
-                    np.cos(turned),
-                    -unit(bones[:, j])[:, 1],
-                    np.vecdot(unit(bones[:, j]), along),
-                    cover[:, j],
-                    _behind_limb(positions, rays, away, j, skeleton),
-                    np.maximum(-reach[:, 0], 0.0),
-                    reach[:, 2],
-                    np.linalg.norm(reach - mirrored * outwards, axis=1),
-                    away[:, j] - away[:, other],
-                ],
-                axis=1,
-            )
+            columns = [
+                np.abs(ratio[:, j]),
+                np.abs(ratio[:, before]),
+                np.abs(ratio[:, beyond]),
+                length_jitter[:, j],
+                mean_speed[:, j],
+                mean_acceleration[:, j] / 30.0,
+                leap[:, j],
+                np.maximum(far, 0.0),
+                np.maximum(-far, 0.0),
+                np.cos(turned),
+                -unit(bones[:, j])[:, 1],
+                np.vecdot(unit(bones[:, j]), along),
+                cover[:, j],
+                _behind_limb(positions, rays, away, j, skeleton),
+                np.maximum(-reach[:, 0], 0.0),
+                reach[:, 2],
+                np.linalg.norm(reach - mirrored * outwards, axis=1),
+                away[:, j] - away[:, other],
+            ]
+            features[:, j] = np.stack(columns, axis=1)
     return features[rows]
 
 
@@ -145,7 +138,6 @@ def _behind_limb(
 
 
 def _distances(points: Array, rays: Array) -> Array:
-    """Return distances of points from the sensor's rays [m]."""
     along = rays * np.vecdot(points, rays)[..., None]
     return np.asarray(np.linalg.norm(points - along, axis=2))
 

@@ -21,10 +21,9 @@ _INVERSE_PENALTY = 0.1  # C of the regression
 
 
 def lessons(sessions: Sequence[Session]) -> dict[str, tuple[Array, Flags, Array]]:
-    """Return training data for each kind of joint.
+    """Return training data for each kind of joint where the frontal sensor is sure.
 
-    That is features, shape (N, F), whether the joint was wrong, and the name of the
-    session, for frames in which the frontal sensor is reliable itself.
+    That is features (N, F), whether the joint was wrong, and the session's name.
     """
     rows: dict[str, list[tuple[Array, Array, Array]]] = {part: [] for part in PARTS}
     for session in sessions:

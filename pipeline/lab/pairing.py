@@ -1,9 +1,8 @@
 """Pairs Kinect takes with marker mocap of the same movement.
 
-A take and its mocap share nothing but the movement: each has its own clock, frame rate
-and axes. First the lag is found (``lags``), then one rigid transform from the mocap's
-joints to the take's. All takes of a session share that transform, because neither the
-sensor nor the mocap system moved; they also share the clock offset if their lags agree.
+Each has its own clock, frame rate and axes. First the lag is found (``lags``), then one
+rigid transform from the mocap's joints to the take's. All takes of a session share it,
+and the clock offset if their lags agree.
 """
 
 from collections.abc import Sequence
@@ -30,11 +29,10 @@ from .marker_sets import MarkerSet, joint_centers
 EXPLAINED = 0.55
 """Minimum share of a take's movement that its mocap must explain.
 
-Chosen on s02, s03 and s04 of UI-PRMD, where it accepts 97 % of the true pairs. On s06,
-s07 and s08, with clips of 2.5 s, it accepts 97 % of the true pairs, 1 % of the pairs
-with mocap of another exercise, 5 % with another person's mocap of the same exercise,
-and 32 % with another repetition by the same person:
-``python tests/pairing_figures.py ../shared/data s06 s07 s08``."""
+Chosen on s02, s03 and s04 of UI-PRMD. On s06, s07 and s08, with clips of 2.5 s, it
+accepts 97 % of the true pairs, 1 % of those with mocap of another exercise, 5 % with
+another person's of the same, and 32 % with another repetition
+(``tests/pairing_figures.py``)."""
 
 _FEWEST_JOINTS = 6
 _SHORTEST = 1.0  # s that both recordings must have in common
@@ -43,18 +41,14 @@ _ANKLE = 0.06  # m up the shank, where a Kinect places it; from s02, s03 and s04
 _LEAST_MOVED = 0.01  # m: minimum standard deviation of joint distances in a movement
 _SAME_CLOCK = 0.5  # frames by which lags of the same clock offset may differ
 _SAME_PLACE = np.radians(5.0), 0.10
-"""Angle, and distance [m] of the body, by which the transform of a take may differ from
-that of its session; within a person of UI-PRMD they differ by up to 3 degrees. A
-guess."""
+"""Angle, and distance [m] of the body, by which a take's transform may differ from its
+session's; within a person of UI-PRMD it is up to 3 degrees. A guess."""
 _FEW = 0.2  # share of outlier frames that are ignored in the explained share; a guess
 _STRETCHED = 0.25  # relative change of a bone's length that marks its joint as wrong
 _LOST_FRAME, _LOST_JOINT = 0.20, 0.30
 """Median distances [m] over a frame, and for a joint over a take, beyond which the
-sensor is not following the person: in s02, s03 and s04, 99.9 % are below 0.16 m and
-0.25 m."""
-_SIZES = 0.20
-"""Log ratio by which the median bone lengths of one person may differ; those of s02,
-s03 and s04 differ by up to 14 %."""
+sensor has lost the person: in s02 to s04, 99.9 % are below 0.16 m and 0.25 m."""
+_SIZES = 0.20  # log ratio of a person's median bone lengths; up to 14 % in s02 to s04
 _RATES = 0.05  # relative difference allowed between frame rates in one file
 
 
@@ -107,19 +101,18 @@ def pair_session(
 ) -> tuple[list[Pairing], list[str]]:
     """Return pairs of a person's takes and mocap, and why the others are left out.
 
-    Each recording is a take and mocap of the same movement; neither the sensor nor the
-    mocap system moved between them. Clips are named after the takes' files; ``table``
-    locates joints among markers, see ``joint_centers``; ``least`` is the minimum share
-    of a take's movement that its mocap must explain. Raises an InputError if no take
-    can be paired, or if the takes differ in skeleton or frame rate.
+    Neither the sensor nor the mocap system moved between the recordings. Clips are
+    named after the takes' files; ``table`` locates joints among markers, see
+    ``joint_centers``; ``least`` is the minimum share of a take's movement that its
+    mocap must explain. Raises an InputError if no take can be paired, or if the takes
+    differ in skeleton or frame rate.
     """
     takes = [take for take, _ in recordings]
     _check_alike(takes)
     clips = [Path(take.source).name.split(".")[0] for take in takes]
     matches: list[_Match] = []
     refused: list[str] = []
-    for k in over(range(len(recordings)), "pair", progress):
-        take, mocap = recordings[k]
+    for k, (take, mocap) in enumerate(over(recordings, "pair", progress)):
         try:
             joints = joint_centers(mocap, take.skeleton, table)
             matches.append(_match(clips[k], take, joints, least))
@@ -150,7 +143,6 @@ def _check_alike(takes: Sequence[Take]) -> None:
 
 
 def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
-    """Find lag and drift; raise an InputError if the recordings do not match."""
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
     time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
@@ -238,7 +230,6 @@ def changed_bones(positions: Array, skeleton: Skeleton) -> Flags:
 
 
 def _placed(matches: Sequence[_Match]) -> Placement:
-    """Return the transform from the mocap of all matches to their takes."""
     skeleton = matches[0].take.skeleton
     used = [*(skeleton.index(joint) for joint in LIMBS), skeleton.girdle]
     knees, ankles = skeleton.sides("Knee"), skeleton.sides("Ankle")
@@ -257,9 +248,8 @@ def _explained(match: _Match, placed: Placement) -> float:
     """Return the share of the take's movement that its mocap explains.
 
     Each joint's constant offset is ignored: it only reflects how the joint is defined.
-    Squared distances are compressed by the logarithm, as when lag and transform are
-    fitted: a limb that the sensor loses for a while says little about whether the
-    recordings belong together.
+    Squared distances are compressed by the logarithm, because a limb that the sensor
+    loses for a while says little about whether the recordings belong together.
     """
     limbs = [match.take.skeleton.index(joint) for joint in LIMBS]
     joints = match.take.positions[:, limbs]
@@ -276,9 +266,7 @@ def _explained(match: _Match, placed: Placement) -> float:
 
 
 def _median(values: Array) -> Array:
-    """Return each joint's median over frames, NaN if it is always missing, (J, 3)."""
-    flat = column_medians(values.reshape(len(values), -1))
-    return flat.reshape(values.shape[1:])
+    return column_medians(values.reshape(len(values), -1)).reshape(values.shape[1:])
 
 
 def _on_one_clock(matches: list[_Match]) -> list[_Match]:
@@ -343,16 +331,11 @@ def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
     if outside := len(take) - (inside.stop - inside.start):
         notes.append(f"{outside} frames are before or after the mocap")
     pair = PairedTake(*_even(take, truth, inside), subject, match.clip)
-    explained = _explained(match, placed)
-    return Pairing(pair, match.clock, placed, explained, tuple(notes))
+    return Pairing(pair, match.clock, placed, _explained(match, placed), tuple(notes))
 
 
 def _even(take: Take, truth: Array, rows: slice) -> tuple[Take, Array]:
-    """Return frames at the take's nominal rate, as pairs files have no time stamps.
-
-    Frames are not interpolated; each moves by at most half a step. Of several frames at
-    one step the first is kept, and a step without a frame becomes an empty frame.
-    """
+    """Return frames at the take's nominal rate, as pairs files have no time stamps."""
     step, time = nominal_step(take.time), take.time[rows]
     rounded = np.round((time - time[0]) / step).astype(int)
     steps, first = np.unique(rounded, return_index=True)

@@ -59,10 +59,7 @@ def as_table(pairings: Sequence[Pairing]) -> Table:
 
 
 def draw_residuals(pairings: Sequence[Pairing], path: Path) -> None:
-    """Plot each joint's median distance from the mocap (PNG).
-
-    Raises an InputError if it cannot be written, or if matplotlib is not installed.
-    """
+    """Plot each joint's median distance from the mocap (PNG), or InputError."""
     skeleton, medians = pairings[0].pair.take.skeleton, []
     for name in ("away", "varying"):
         distances = np.concatenate([getattr(p, name) for p in pairings])

@@ -1,9 +1,8 @@
 """A web page for blind grading of clips made by different systems.
 
-Follows the user study of Shum et al. 2013 (Section V-B, Figure 6), in which 27 people
-watched the video of a person and then the characters of three methods one after
-another, and graded from 1 to 9 how accurate each was. Here a stick figure replaces the
-video, and by default two systems are shown side by side.
+After the user study of Shum et al. 2013 (Section V-B, Figure 6), in which 27 people
+graded from 1 to 9 how accurate the characters of three methods were. Here a stick
+figure replaces the person's video, and by default two systems are side by side.
 """
 
 import hashlib
@@ -42,16 +41,11 @@ _TURNED = 0.35  # rad off the frontal view, to show depth
 _TEMPLATE = Path(__file__).parent / "template"
 
 Motions = dict[str, Path]  # files of a system, by motion
-Trial = tuple[tuple[int, int], ...]
-"""Clips that are shown and graded at once, as (motion, system), left to right."""
+Trial = tuple[tuple[int, int], ...]  # clips (motion, system) shown at once
 
 
 def find_system(word: str) -> tuple[str, Motions]:
-    """Return the name and the motions of a system given as NAME=PATH or as a path.
-
-    A motion is named after its file without suffixes, including subfolders. Raises an
-    InputError if there is no motion, or if two have the same name.
-    """
+    """Return the name and the motions of a system given as NAME=PATH or as a path."""
     name, equals, path = word.partition("=")
     if not equals or as_path(word).exists():
         name, path = as_path(word).name, word
@@ -62,7 +56,7 @@ def find_system(word: str) -> tuple[str, Motions]:
 
 
 def motions_of(path: Path) -> Motions:
-    """Return the motions in a file or a folder, named as in ``find_system``."""
+    """Return the motions in a file or folder by file name; InputError if not unique."""
     if not path.is_dir():
         return {_motion_in(Path(path.name)): path}
     found: Motions = {}
@@ -84,10 +78,7 @@ def _motion_in(path: Path) -> str:
 
 
 def matched(systems: Mapping[str, Motions]) -> list[str]:
-    """Return the motions that all systems have, or raise an InputError.
-
-    If every system is a single file, all files are taken for the same motion.
-    """
+    """Return the motions that all systems, or single files, have; or InputError."""
     first, *others = systems.values()
     if all(len(motions) == 1 for motions in systems.values()):
         return list(first)
@@ -104,11 +95,7 @@ def matched(systems: Mapping[str, Motions]) -> list[str]:
 def planned(
     systems: int, motions: int, *, single: bool, repeats: int, seed: int
 ) -> list[Trial]:
-    """Return the trials in order, see ``write_rating_page``.
-
-    Every two systems are compared in every motion. The counts of left and right differ
-    by at most one for each system, and for each system against each other one.
-    """
+    """Return the trials in order, with every two systems as often left as right."""
     rng = np.random.default_rng(seed)
     trials: list[Trial] = []
     if single:
@@ -126,10 +113,7 @@ def planned(
 
 
 def _swapped(trials: Sequence[Trial], count: int) -> list[Trial]:
-    """Return some pairs with swapped sides, chosen to keep the sides balanced.
-
-    Among equals the earliest is taken, as it was shown the longest ago.
-    """
+    """Return some pairs with swapped sides, the earliest that keep sides balanced."""
     lead = Counter(left for (_, left), _ in trials)  # how much more often left
     lead.subtract(right for _, (_, right) in trials)  # than right, by system
     rest, again = list(trials), list[Trial]()
@@ -211,10 +195,7 @@ def write_rating_page(
 
 
 def _staged(files: Sequence[Path]) -> tuple[dict[str, Any], list[Clip | Take]]:
-    """Return the camera [mm, rad] of a motion, and its clips on a common floor.
-
-    A take whose feet are not at the height of a clip's feet is leveled to that clip.
-    """
+    """Return the camera [mm, rad] of a motion, and its clips on a common floor."""
     clips = [_read(file) for file in files]
     seconds = max(float(clip.time[-1]) for clip in clips)
     standing = _standing(clips)
@@ -261,11 +242,7 @@ def _read(path: Path) -> Clip | Take:
 
 
 def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
-    """Return a clip that stands on the floor, preferably one with a known tilt.
-
-    A CSV may be a take in its sensor's frame. It counts only if there is no other clip;
-    then the one whose feet are nearest to y = 0 is taken.
-    """
+    """Return a clip that stands on the floor, preferably one with a known tilt."""
     if leveled_clips := [clip for clip in clips if isinstance(clip, Clip)]:
         return max(leveled_clips, key=lambda clip: np.isfinite(clip.tilt))
     nearest = min(clips, key=lambda clip: abs(_foot_height(clip.positions)))
@@ -273,10 +250,7 @@ def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
 
 
 def _on_floor(take: Take, standing: Clip | Take) -> Array:
-    """Return a take's joints [m], leveled and with feet at a clip's height, (T, J, 3).
-
-    A take that is already at the clip's height is returned unchanged.
-    """
+    """Return a take's joints [m], leveled and with its feet at a clip's height."""
     height, positions = _foot_height(standing.positions), take.positions
     if abs(_foot_height(positions) - height) < _OFF:
         return positions

@@ -1,10 +1,8 @@
 """Statistics of the grades that raters gave on a page of ``rating``.
 
-Shum et al. 2013 (Figure 6) print the mean grade and standard deviation of each method,
-and say "significantly" without naming a test. Here every two systems are compared by
-Wilcoxon's signed-rank test, because all raters grade both systems and grades need not
-be normal. The p-values are corrected for multiple testing after Holm 1979 (A simple
-sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6).
+Shum et al. 2013 (Figure 6) name no test. Here every two systems are compared by
+Wilcoxon's signed-rank test, because all raters grade both and grades need not be
+normal, corrected after Holm 1979 (Scandinavian Journal of Statistics 6).
 """
 
 import json
@@ -113,7 +111,6 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
 
 
 def _integers(values: Any) -> tuple[int, ...]:
-    """Return integers as a tuple, or raise a TypeError."""
     if not all(type(value) is int for value in values):
         raise TypeError
     return tuple(values)
@@ -173,7 +170,6 @@ def summarize(raters: Raters, key: Key) -> Figures:
 
 
 def _grades(answers: Sequence[Answer], key: Key) -> Array:
-    """Return a rater's mean grade of each clip, shape (S, M)."""
     total = np.zeros((2, len(key.systems), len(key.motions)))
     for clips, grades in answers:
         for clip, grade in zip(clips, grades, strict=True):
@@ -182,7 +178,6 @@ def _grades(answers: Sequence[Answer], key: Key) -> Array:
 
 
 def _mean(values: Array) -> Figures:
-    """Return the mean and its confidence interval over raters."""
     low = high = np.nan
     if len(values) > 1:
         half = stats.sem(values) * stats.t.ppf((1 + _LEVEL) / 2, len(values) - 1)
@@ -193,9 +188,7 @@ def _mean(values: Array) -> Figures:
 def wilcoxon(differences: Array) -> float:
     """Return the p-value of Wilcoxon's signed-rank test, 1 without any difference."""
     differences = np.round(differences, 9)  # equal means may differ by rounding
-    if not differences.any():
-        return 1.0
-    return float(stats.wilcoxon(differences).pvalue)
+    return float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -207,11 +200,6 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def _agreement(answers: Sequence[Answer]) -> Figures:
-    """Return how consistently a rater answered the trials that came twice.
-
-    In trials counted as ``reversed``, the other of the two clips was better the second
-    time. ``apart`` is the mean difference between two grades of the same clip.
-    """
     first: dict[tuple[int, ...], dict[int, int]] = {}
     twice = reversals = 0
     apart = []

@@ -6,34 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from kinefilter.characters import (
-    KINECT_V1,
-    Body,
-    InputError,
-    Motion,
-    Skeleton,
-    State,
-    Take,
-)
+from kinefilter.characters import KINECT_V1, Body, InputError, Skeleton
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import Motion, State, Take
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.floor import clearances
-from kinefilter.retarget import (
-    HeadingFrame,
-    find_yaw,
-    measured_body,
-    rotations_from_positions,
-)
+from kinefilter.retarget import measured_body, rotations_from_positions
+from kinefilter.retarget.heading_frame import HeadingFrame, find_yaw
 from kinefilter.retarget.orientation import fill_missing_joints
-from kinefilter.scenes.sensor import (
-    Sensor,
-    Tracker,
-    in_sensor_frame,
-    in_world_frame,
-    observe,
-)
+from kinefilter.scenes.sensor import Tracker, observe
+from kinefilter.scenes.sensor.geometry import Sensor, in_sensor_frame, in_world_frame
 
 from .database_build import mocap_body, whole_frames
 from .methods.filters import bridge_gaps
@@ -98,9 +82,9 @@ def _observed(pair: Pair, tracker: Tracker) -> Take:
 def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     """Return the motion of a mocap file, resampled and centered on the world's floor.
 
-    It is performed by the body in the file, on ``skeleton``, and starts facing +z.
-    Joints that the file lacks keep their rest posture; positions are interpolated
-    linearly. Raises an InputError for other files, unknown joints or too few frames.
+    It is performed by the body in the file and starts facing +z. Joints that the file
+    lacks keep their rest posture; positions are interpolated linearly. Raises an
+    InputError for other files, unknown joints or too few frames.
     """
     mocap = read_mocap(path)
     positions = kinect_motion(mocap, skeleton, RIGS).positions

@@ -7,28 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, Body, InputError, Motion, State, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import SKELETONS, Body, Motion, State, Take
+from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.merge.lag import Clock
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses, random_body
-from kinefilter.scenes.sensor import (
-    SENSORS,
-    Sensor,
-    Tracker,
-    in_sensor_frame,
-    observe,
-)
+from kinefilter.scenes.sensor import SENSORS, Sensor, Tracker, in_sensor_frame, observe
 
 from .recorded_acts import mocap_act
 
 _SKELETON = {"v1": "kinect_v1", "v2": "kinect_v2", "azure": "kinect_v2"}
 _OWN_SENSOR = {"kinect_v1": "v1", "kinect_v2": "v2"}
-_IN_THE_WAY = ("office", "flip_chart", "box")
-"""Scenes with a prop in front of a person who does something else."""
+_IN_THE_WAY = ("office", "flip_chart", "box")  # scenes with a prop before a person
 _HANDLED = (
     ("box", "lift_box"),
     ("flip_chart", "flip_chart"),
@@ -67,21 +60,17 @@ def simulate(
 
     Arguments are those of ``kinefilter simulate``, which explains them. ``person`` is
     the seed of the person and of the sensor's constant errors for them, by default
-    ``seed``. With ``stay_in_view`` people walk in circles within the sensor's view; by
-    default gaits go straight and leave it, as in the takes behind the embedded weights
-    and the published figures: studies and training keep this default.
-
-    Raises:
-        InputError: The scene, motion, sensor, skeleton or tracker is unknown.
+    ``seed``. Without ``stay_in_view`` gaits go straight and leave the view, as in the
+    takes behind the embedded weights and the published figures. Raises an InputError if
+    the scene, motion, sensor, skeleton or tracker is unknown.
     """
-    if sensor not in SENSORS:
-        raise InputError(f"unknown name {sensor!r}; known: {', '.join(SENSORS)}")
+    check_choice(sensor, SENSORS, "name")
     room = load_scene(scene)
     person = seed if person is None else person
     joints = SKELETONS[skeleton or _SKELETON[sensor]]
     body = random_body(joints, np.random.default_rng(person))
     area = area_in_view(SENSORS[sensor], body.height) if stay_in_view else None
-    act = _performed(motion, body, seed, 30.0, area)
+    act = _acted(motion, body, seed, 30.0, area)
     take = observe(
         act,
         seed=seed,
@@ -96,13 +85,10 @@ def simulate(
     return PairedTake(take, truth, f"person {person}", f"{stem}_e{seed:02d}")
 
 
-def _performed(
-    motion: str, body: Body, seed: int, fps: float, within: Area | None
-) -> Motion:
-    """Return a scripted motion by a body, or the motion of a mocap file."""
-    if motion in MOTIONS or not Path(motion).suffix:
-        return perform(motion, body, seed=seed, fps=fps, within=within)
-    return mocap_act(Path(motion), body.skeleton, fps)
+def _acted(name: str, body: Body, seed: int, fps: float, area: Area | None) -> Motion:
+    if name in MOTIONS or not Path(name).suffix:
+        return perform(name, body, seed=seed, fps=fps, within=area)
+    return mocap_act(Path(name), body.skeleton, fps)
 
 
 def _named(motion: str) -> str:
@@ -110,7 +96,6 @@ def _named(motion: str) -> str:
 
 
 def _truth(act: Motion, take: Take, sensor: Sensor) -> Array:
-    """Return the true joints [m] at a take's frames."""
     # Dropped frames are skipped; time stamps jitter by far less than a frame.
     stamps = take.time - 0.5 * np.diff(act.time).mean() + act.time[0]
     frames = np.minimum(np.searchsorted(act.time, stamps), len(act) - 1)
@@ -135,17 +120,16 @@ def simulate_session(
 ) -> list[SimulatedView]:
     """Return the simultaneous takes of several virtual Kinects, with ground truth.
 
-    Each sensor has its own skeleton, errors, height, tilt and clock. Clocks start at an
-    arbitrary time and drift by up to 0.1 ms per second; the sensors' frames interleave.
-    The ground truth is in each sensor's frame, at its own frames. Scenes and motions
-    are those of ``simulate``. The person faces the first of ``sensors``, which stand
-    ``degrees`` apart around the person. The seed determines everything random.
+    Each sensor has its own skeleton, errors, height, tilt and clock, which starts at an
+    arbitrary time and drifts by up to 0.1 ms per second; the sensors' frames
+    interleave. The ground truth is in each sensor's frame, at its own frames. The
+    person faces the first of ``sensors``, which stand ``degrees`` apart.
     """
     rng, room = np.random.default_rng([seed, 2]), load_scene(scene)
     views, count = [], len(sensors)
     for k, name in enumerate(sensors):
         body = random_body(SKELETONS[_SKELETON[name]], np.random.default_rng(seed))
-        whole = _performed(motion, body, seed, 30.0 * count, Area(_AMONG, _AMONG))
+        whole = _acted(motion, body, seed, 30.0 * count, Area(_AMONG, _AMONG))
         act = whole.at(slice(k, None, count))
         poses = {prop: rows[k::count] for prop, rows in prop_poses(room, whole).items()}
         sensor = replace(
@@ -154,13 +138,9 @@ def simulate_session(
             height=rng.uniform(0.8, 1.2),
             tilt=rng.uniform(-0.07, 0.07),
         )
+        own = seed * count + k
         seen = observe(
-            act,
-            seed=seed * count + k,
-            person=seed,
-            sensor=sensor,
-            scene=room,
-            prop_poses=poses,
+            act, seed=own, person=seed, sensor=sensor, scene=room, prop_poses=poses
         )
         truth = _truth(act, seen, sensor)
         clock = Clock(0.0, rng.uniform(0.0, 3600.0), rng.uniform(-1e-4, 1e-4))
@@ -190,20 +170,14 @@ def area_in_view(sensor: Sensor, height: float) -> Area:
 
 def simulated_pair(k: int, skeleton: str, tracker: Tracker = "model") -> PairedTake:
     """Return the Kinect v2 take of person ``k`` of ``simulated_pairs``, from 0 on."""
-    motion = MOTIONS[k % len(MOTIONS)]
-    return simulate(
-        "basic", motion, skeleton=skeleton, seed=_LEARNED_FROM + k, tracker=tracker
-    )
+    motion, seed = MOTIONS[k % len(MOTIONS)], _LEARNED_FROM + k
+    return simulate("basic", motion, skeleton=skeleton, seed=seed, tracker=tracker)
 
 
 def simulated_pairs(
     skeleton: str, *, people: int = 400, progress: Progress = silent
 ) -> list[PairedTake]:
-    """Return Kinect v2 takes for training, each of another simulated person.
-
-    At most 900 people perform the motions of the library in turn, on an empty floor.
-    None of them is in the built-in database or in the studies.
-    """
+    """Return Kinect v2 takes of up to 900 people in no study, for training."""
     people = min(people, _MOST_PEOPLE)
     return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
 
@@ -213,9 +187,8 @@ def pairs_with_props(
 ) -> list[PairedTake]:
     """Return takes for training in which props hide people too.
 
-    Of ten people, four move on an empty floor, three behind a prop, and three use a
-    prop. They are the people of ``simulated_pairs``, seen by the sensor that has the
-    skeleton.
+    Of ten of the people of ``simulated_pairs``, four move on an empty floor, three
+    behind a prop, and three use a prop.
     """
     rng = np.random.default_rng(0)
     standing = [motion for motion in MOTIONS if motion not in _ELSEWHERE]
@@ -240,13 +213,7 @@ def truth_of(pair: PairedTake) -> Take:
 
 
 def write_pairs(pairs: Sequence[PairedTake], path: Path) -> None:
-    """Write clips of one person as a pairs file, see ``read_pairs``.
-
-    Pairs files have a constant frame rate: the median rate of the clips is written.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write a person's clips as a pairs file at their median rate, or InputError."""
     takes = [pair.take for pair in pairs]
     stop = np.cumsum([len(take) for take in takes])
     steps = np.concatenate([np.diff(take.time) for take in takes])

@@ -110,9 +110,9 @@ def as_step(every: int) -> int:
 class CorrectorFactory:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
-    With ``people`` they also learn each person's own offsets, for tests on the same
-    people. All methods except ``default`` take their postures from ``database``, by
-    default the built-in one; ``skeleton`` is by default that of the clips.
+    With ``people`` they also learn each person's own offsets. All methods except
+    ``default`` take their postures from ``database``, by default the built-in one;
+    ``skeleton`` is by default that of the clips.
     """
 
     def __init__(
@@ -142,15 +142,13 @@ class CorrectorFactory:
         if name == "default":  # exactly as in clean
             return make_corrector(self._skeleton, CleanConfig())
         method = METHODS[name]
-        of_skeleton = method.requires == "skeleton"
-        basis = self._skeleton if of_skeleton else self._database
+        basis = self._skeleton if method.requires == "skeleton" else self._database
         corrector: Corrector = method.make(basis, **settings)
         return corrector
 
     def _trained(
         self, config: CleanConfig, name: str, settings: dict[str, Any]
     ) -> LearnedCorrector:
-        """Return a trained method; settings that do not affect training share one."""
         scoring = (config.scoring, config.preset is None, config.parameters.scorer)
         lessons_key = str(scoring)
         if lessons_key not in self._lessons:
@@ -160,12 +158,9 @@ class CorrectorFactory:
         fixed = {k: value for k, value in settings.items() if k not in free}
         key = str((lessons_key, name, sorted(fixed.items())))
         if key not in self._learned:
+            data, people = self._lessons[lessons_key], self._people
             self._learned[key] = teach(
-                name,
-                self._lessons[lessons_key],
-                people=self._people,
-                settings=fixed,
-                progress=self._progress,
+                name, data, people=people, settings=fixed, progress=self._progress
             )
         learned = self._learned[key]
         return learned.adjusted(**settings) if settings else learned

@@ -1,11 +1,9 @@
 """Trains the forest that finds body parts in depth images, on simulated images.
 
 ``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` rewrites
-``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy; FOLDER holds CMU's
-mocap (BVH). ``--help`` lists the sizes: more people, images and leaves take longer and
-give better results. Half of the images show mocap and half scripted motions, all of
-them performed by simulated people. The accuracy is measured on people and on CMU
-subjects that are not in the training data.
+``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy on people and subjects
+who are not in the training data; FOLDER holds CMU's mocap (BVH). ``--help`` lists the
+sizes. Half of the images show mocap and half scripted motions of simulated people.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,14 +16,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from kinefilter.characters import (
-    SKELETONS,
-    Body,
-    InputError,
-    Skeleton,
-    positions_from_rotations,
-)
-from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
+from kinefilter.characters.arrays import Array, Indices, Singles
+from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
@@ -88,9 +81,7 @@ class Shot(NamedTuple):
     joints: Array
     body: Body
 
-    def labels(
-        self, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.intp]:
+    def labels(self, rows: Indices, columns: Indices) -> Indices:
         """Return the true body part of pixels, (N,)."""
         points = self.image.points(rows, columns)
         segments = self.image.segments[rows, columns]
@@ -100,10 +91,7 @@ class Shot(NamedTuple):
 
 
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:
-    """Return segment rotations of diverse postures, without yaw, (N, J, 4).
-
-    Raises an InputError if the folder has no BVH file of these subjects.
-    """
+    """Return rotations of diverse postures without yaw, (N, J, 4), or InputError."""
     files = [
         file
         for file in sorted(folder.glob("*.bvh*"))
@@ -138,25 +126,17 @@ def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:
     camera = DepthCamera(PosedBody(body), SENSORS["v2"])
     for joints, turn in zip(positions, rotations, strict=True):
         height, distance = rng.uniform(0.6, 1.6), rng.uniform(2.0, 3.6)
-        camera.look_from(
-            replace(
-                SENSORS[str(rng.choice(list(SENSORS)))],
-                height=height,
-                distance=distance,
-                azimuth=float(np.clip(rng.normal(0.0, 0.7), -1.7, 1.7)),
-                tilt=float(np.arctan2(0.9 - height, distance) + rng.normal(0.0, 0.08)),
-            )
-        )
+        sensor = SENSORS[str(rng.choice(list(SENSORS)))]
+        azimuth = float(np.clip(rng.normal(0.0, 0.7), -1.7, 1.7))
+        tilt = float(np.arctan2(0.9 - height, distance) + rng.normal(0.0, 0.08))
+        sensor = replace(sensor, height=height, distance=distance)
+        camera.look_from(replace(sensor, azimuth=azimuth, tilt=tilt))
         image = with_noise(camera.take(joints, turn), camera.sensor, rng)
         yield Shot(image, in_sensor_frame(joints, camera.sensor), body)
 
 
 def features(count: int) -> Singles:
-    """Return the offset pairs u and v of features [m across the view], (F, 2, 2).
-
-    As in the paper, half of them compare a nearby point with the pixel itself. The
-    lengths are evenly distributed on a logarithmic scale.
-    """
+    """Return pairs u, v of log-uniform lengths, half with v = 0, (F, 2, 2)."""
     rng = np.random.default_rng(0)
     angle = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
     size = np.exp(rng.uniform(np.log(_NEAREST), np.log(_FARTHEST), (count, 2)))
@@ -168,11 +148,7 @@ def features(count: int) -> Singles:
 def training_pixels(
     seed: int, sizes: Sizes, mocap: dict[str, Array]
 ) -> tuple[Singles, NDArray[np.int8]]:
-    """Return features and body parts of pixels of one person.
-
-    A pixel is drawn with a probability inversely proportional to the square root of its
-    body part's area, so that small parts are drawn more often.
-    """
+    """Return features and parts of a person's pixels, more often of rare parts."""
     rng, offsets = np.random.default_rng([seed, 1]), features(sizes.features)
     values, parts = [], []
     for shot in shots_of(seed, sizes.images, mocap):
@@ -286,16 +262,10 @@ def _by_skeleton(
             yield row, skeleton, skin, area, joints
 
 
-def with_constants(
-    forest: BodyPartForest, checked: Sequence[Results]
-) -> BodyPartForest:
-    """Return the forest with each joint's depth behind the skin and minimum area.
-
-    The depth is the median over images that show much skin. The minimum area is the one
-    that decides most reliably whether the joint is within 10 cm.
-    """
+def with_constants(forest: BodyPartForest, tested: Sequence[Results]) -> BodyPartForest:
+    """Return the forest with joints' depth behind the skin and least decisive area."""
     push, least = forest.push.copy(), forest.least.copy()
-    for row, skeleton, skin, area, joints in _by_skeleton(checked):
+    for row, skeleton, skin, area, joints in _by_skeleton(tested):
         line = skin / np.linalg.norm(skin, axis=-1, keepdims=True)
         depth = np.vecdot(joints - skin, line)
         for j, part in enumerate(np.argmax(parts_of_joints(skeleton), axis=0)):

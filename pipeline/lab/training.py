@@ -31,10 +31,8 @@ def training_set(
     """Transfer pairs to the standard body, as a corrector will receive them.
 
     The frames are stored on disk, so they may be larger than memory. They are scored as
-    in ``config``, by default as ``clean`` does.
-
-    Raises:
-        InputError: There are no pairs, or their skeletons differ.
+    in ``config``, by default as ``clean`` does. Raises an InputError if there are no
+    pairs, or if their skeletons differ.
     """
     skeleton: Skeleton | None = None
     parts = [Spool(np.float64) for _ in range(6)]
@@ -83,10 +81,7 @@ def training_set(
 
 
 def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
-    """Return a take as correction receives it: scored, on the standard body.
-
-    Tracking failures are not removed: training and comparisons need the sensor's data.
-    """
+    """Return a take as correction receives it, but with tracking failures."""
     cleaner = Cleaner(config)
     if config is None or config.preset is None:  # a preset has no such stage
         cleaner = cleaner.without("failures")
@@ -94,11 +89,7 @@ def observed(pair: PairedTake, config: CleanConfig | None = None) -> Draft:
 
 
 def standard_truth(pair: PairedTake, draft: Draft) -> Array:
-    """Return the mocap of a pair on the standard body, as in its draft [m], (T, J, 3).
-
-    NaN where missing. The mocap is shifted so that the middle of the hips, to which
-    errors are relative, coincides with the measured one.
-    """
+    """Return a pair's mocap as in its draft, hips in the same place [m], (T, J, 3)."""
     hips, measured = draft.skeleton.hips, draft.measured
     shift = measured[:, hips].mean(axis=1) - pair.truth[:, hips].mean(axis=1)
     truth = pair.truth + shift[:, None]
@@ -121,18 +112,12 @@ def teach(
     ``learned`` is also trained on simulated people, always the same ones, and on
     ``views``, the sessions of two sensors (see ``view_pairs``); with ``people`` it
     learns each person's own offsets too. ``settings`` are keywords of the constructors
-    of the other methods.
-
-    Raises:
-        InputError: The pairs are too few.
+    of the other methods. Raises an InputError if the pairs are too few.
     """
     if method == "learned":
+        simulated = _simulated(lessons.skeleton, _SIMULATED)
         return FourierRidgeLearner(lessons.skeleton).fit(
-            lessons,
-            simulated=_simulated(lessons.skeleton, _SIMULATED),
-            views=views,
-            people=people,
-            progress=progress,
+            lessons, simulated=simulated, views=views, people=people, progress=progress
         )
     learner: Learner = LEARNED[method].load()(lessons.skeleton, **(settings or {}))
     return learner.fit(lessons, progress=progress)
@@ -140,6 +125,5 @@ def teach(
 
 @cache
 def _simulated(skeleton: Skeleton, people: int) -> TrainingSet | None:
-    if not people:
-        return None
-    return training_set(simulated_pairs(skeleton.name, people=people))
+    pairs = simulated_pairs(skeleton.name, people=people)
+    return training_set(pairs) if pairs else None

@@ -1,19 +1,19 @@
 """Comparison of a side sensor's limbs with those seen by a sensor in front.
 
-For each session of two sensors (``view_sessions``), one rigid transform over the joints
-of the trunk brings them together. Each joint's constant offset in the heading frame is
-subtracted, because it depends on the direction from which a sensor sees the joint. The
-heading of the trunk is compared as well.
+One rigid transform over the joints of the trunk brings them together. Each joint's
+constant offset in the heading frame is subtracted, because it depends on the direction
+from which a sensor sees the joint. The heading of the trunk is compared as well.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
@@ -28,15 +28,7 @@ from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
-from .view_sessions import (
-    LIMBS,
-    Session,
-    degrees_of,
-    placed,
-    read_views,
-    view_pairs,
-    yaw_of,
-)
+from .view_sessions import LIMBS, Session, placed, read_views, view_pairs, yaw_of
 
 _TRUNK = "trunk"  # of which the heading is compared
 FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
@@ -57,14 +49,11 @@ def compare_views(
 ) -> Figures:
     """Return the distances between two sensors' limbs [cm], by session and by angle.
 
-    Beside them are the angles between the headings of the trunk [degrees], medians over
-    frames, because sides may be swapped in some. The side sensor's take is cleaned with
-    each method, with or without physics. All must work without training, as in
-    ``measure_hidden``, except ``learned``, which is trained on the pairs ``train`` and
-    the sessions of other people.
-
-    Raises:
-        InputError: A method is unknown, or takes do not belong together.
+    Beside them are the median angles between the headings of the trunk [degrees]. The
+    side sensor's take is cleaned with each method. All must work without training
+    except ``learned``, which is trained on the pairs ``train`` and the sessions of
+    other people. Raises an InputError if a method is unknown, or if takes do not belong
+    together.
     """
     check_untrained([m for m in methods if m != "learned" or not train])
     trained: dict[str, LearnedCorrector] = {}
@@ -97,7 +86,6 @@ def compare_views(
 def _train_by_person(
     sessions: Sequence[Session], lessons: TrainingSet, progress: Progress
 ) -> dict[str, LearnedCorrector]:
-    """Return for each person a method that was not trained on them."""
     people = sorted({session.person for session in sessions})
     trained: dict[str, LearnedCorrector] = {}
     for k in range(min(_FOLDS, len(people))):
@@ -110,20 +98,17 @@ def _train_by_person(
 
 
 def _compare(
-    session: Session,
-    methods: Sequence[str],
-    physics: bool,
-    learned: LearnedCorrector | None,
+    session: Session, names: Sequence[str], physics: bool, own: LearnedCorrector | None
 ) -> Figures:
     side, at, truth, sure, sensor, facing, faces = read_views(session)
     skeleton = side.skeleton
     joints = [skeleton.index(joint) for limb in LIMBS.values() for joint in limb]
     seen = {"raw": side.positions[at]}
-    for method in methods:
+    for method in names:
         config, corrector = CleanConfig(method=method, physics=physics), None
-        if method == "learned" and learned is not None:
+        if method == "learned" and own is not None:
             config = CleanConfig(physics=physics)
-            corrector = learned.from_arrays(skeleton, learned.arrays())
+            corrector = own.from_arrays(skeleton, own.arrays())
         clip = Cleaner(config, corrector=corrector).clean(side).clip
         seen[method] = clip.positions[at]
     away = {
@@ -163,19 +148,13 @@ def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
 
 
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return the angles between the trunk's heading and the true one [degrees], (T,).
-
-    The two are brought together by the middle line of the body, because a sensor may
-    show hips and shoulders turned.
-    """
+    """Return the angles between headings of trunks with one middle [degrees], (T,)."""
     names = ("Head", "KneeLeft", "AnkleLeft")
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]
     middles = (0.5 * (p[:, line] + p[:, mirror]) for p in (truth, positions))
-    apart = yaw_of(positions, skeleton) - yaw_of(
-        placement(*middles).rotate(truth), skeleton
-    )
-    return degrees_of(apart)
+    true_yaw = yaw_of(placement(*middles).rotate(truth), skeleton)
+    return np.degrees(np.abs(wrapped(yaw_of(positions, skeleton) - true_yaw)))
 
 
 def _mean(values: Any) -> float | None:
@@ -189,7 +168,6 @@ def _median(values: Array) -> float | None:
 
 
 def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
-    """Return the area under ROC of wrong joints, in all frames and in sure ones."""
     wrong, doubt, sure = (np.concatenate(part) for part in zip(*joints, strict=True))
     areas: dict[str, float | None] = {}
     for name, some in (("all", np.ones_like(sure)), ("sure", sure)):
@@ -200,9 +178,9 @@ def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
 
 def as_table(figures: Figures) -> Table:
     """Return the figures as a table for the terminal."""
-    table = Table("session, side sensor", title="between the two sensors, cm")
-    for heading in (*LIMBS, "trunk, degrees"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = (*LIMBS, "trunk, degrees")
+    columns = (Column(name, justify="right", no_wrap=True) for name in headings)
+    table = Table("session, side sensor", *columns, title="between the two sensors, cm")
     means = [
         {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}
         for angle, mean in figures["angles"].items()

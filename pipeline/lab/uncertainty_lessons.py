@@ -52,8 +52,7 @@ class Rows(NamedTuple):
     seen: Array
     gone: Array
     hidden: Flags
-    away: Array
-    """Errors relative to the middle of the hips [m], NaN where unknown, (T, 2 P, 3)."""
+    away: Array  # errors relative to the middle of the hips [m], (T, 2 P, 3)
 
 
 def lessons(
@@ -64,8 +63,8 @@ def lessons(
 ) -> Rows:
     """Return the training data of a person from every Nth of their clips.
 
-    Each clip is cleaned as it is and with a limb hidden. Neither the corrector nor the
-    prior, by default the shipped one, was trained on the person.
+    Each is cleaned as it is and with a limb hidden, by a corrector and a prior (by
+    default the shipped one) that were not trained on the person.
     """
     cleaner, parts = Cleaner(corrector=corrector), []
     if prior is not None:
@@ -89,11 +88,7 @@ def lessons(
 
 
 def _without_a_limb(take: Take, first: int, count: int, clip: str) -> Take:
-    """Return a take in which a limb is hidden for some of a clip's frames.
-
-    The clip's name determines the limb, the duration, and whether the gap is in the
-    middle or at the end.
-    """
+    """Return a take in which a limb is hidden; the clip's name draws which and when."""
     number, limb = divmod(zlib.crc32(clip.encode()), len(_HIDDEN))
     number, gap = divmod(number, len(_GAPS))
     number, place = divmod(number, 3)
@@ -161,7 +156,6 @@ def within(weights: Weights, rows: Rows) -> dict[str, tuple[float, float] | None
 
 
 def _person(person: str, pairs: Sequence[PairedTake], prior: MotionPrior) -> Rows:
-    """Return the training data of a person, by a corrector trained on the others."""
     others = [pair for pair in pairs if pair.subject != person]
     mine = [pair for pair in pairs if pair.subject == person]
     return lessons(teach("learned", training_set(others)), mine, prior=prior)

@@ -95,11 +95,7 @@ class Views(NamedTuple):
 
 
 def read_views(session: Session) -> Views:
-    """Read a session's takes and match their frames.
-
-    Raises:
-        InputError: The takes do not belong together.
-    """
+    """Read a session and match its frames; InputError if the takes are of two."""
     first, second = read_take(session.first), read_take(session.second)
     if first.skeleton != second.skeleton:
         raise InputError(
@@ -120,7 +116,6 @@ def read_views(session: Session) -> Views:
 
 
 def _matched(session: Session, first: Take, second: Take) -> list[NDArray[np.intp]]:
-    """Return the frames of both takes that were the latest at the same tick."""
     try:
         lines = session.sync.read_text("utf-8").splitlines()[1:]
         cells = [line.split(",")[1:3] for line in lines]
@@ -157,23 +152,14 @@ def yaw_of(positions: Array, skeleton: Skeleton) -> Array:
 
 
 def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
-    """Return the angle between heading and sensor [degrees], NaN where unknown."""
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
     view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
-    return degrees_of(yaw_of(positions, take.skeleton) - view)
-
-
-def degrees_of(angles: Array) -> Array:
-    """Return the size of turns [rad] in degrees, at most 180."""
-    return np.degrees(np.abs(wrapped(angles)))
+    return np.degrees(np.abs(wrapped(yaw_of(positions, take.skeleton) - view)))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
-    """Return lightly smoothed positions [m] and plausible limbs, (T, J, 3) and (T, 4).
-
-    A limb is implausible where a bone's length or a joint's speed is.
-    """
+    """Return smoothed positions [m], (T, J, 3), and limbs without odd bones, (T, 4)."""
     time, first, frames = np.unique(take.time, return_index=True, return_inverse=True)
     positions, skeleton = take.positions[first], take.skeleton
     missing = np.isnan(positions)
@@ -192,11 +178,7 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
 def view_pairs(
     sessions: Sequence[Session], progress: Progress = silent
 ) -> Iterator[PairedTake]:
-    """Yield the takes of side sensors with the front sensor's joints as ground truth.
-
-    The ground truth is in the side sensor's frame; it is NaN in frames that the front
-    sensor lacks or in which the person turns away from it.
-    """
+    """Yield side takes with the front's joints, where the person faces it, as truth."""
     for session in over(sessions, "read views", progress):
         side, at, seen, *_, faces = read_views(session)
         side = _mended(side)

@@ -56,8 +56,8 @@ _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
 _SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
 _CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to slide
-_HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
-_CATCH_UP = 0.15  # s in which it then joins the measured path
+_HOLD = 0.04  # s that a foot stays over its place while it is lifted or set down
+_CATCH_UP = 0.1  # s in which it then joins the measured path
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
 _STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
 

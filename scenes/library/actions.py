@@ -101,7 +101,6 @@ def _pick_up(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 
 def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    """Sit down on an imaginary chair and stand up again."""
     score, u = Score(base).hold(0.3), rng.uniform
     seat = u(0.5, 0.58) * puppet.scale  # of the root above the floor
     drop, back = base.root[1] - seat, u(0.38, 0.44) * puppet.scale
@@ -125,7 +124,6 @@ def _sit(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 
 def _over(pose: Pose, side: int) -> Pose:
-    """Shift the weight over the foot of one side."""
     sign, pose = 1.0 - 2.0 * side, pose.over(side, 0.8)
     return pose.leaning(pelvis=(0.0, 0.0, -0.05 * sign), spine=(0.0, 0.08 * sign, 0.0))
 

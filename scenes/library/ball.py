@@ -1,10 +1,9 @@
 """Path of a ball that a performer holds, dribbles and throws.
 
 Flight heights are those of the ball's lowest point above the floor; speeds are upward.
-Air resistance and spin are neglected: at 5 m/s the drag on a basketball is less than a
-tenth of its weight. The hands were not moved for the ball, so the ball leaves the hand
-in a stroke and returns to it in those frames in which a ballistic flight fits the
-motion of the hands best.
+Air resistance and spin are neglected. The hands were not moved for the ball, so it
+leaves the hand in a stroke and returns to it in those frames in which a ballistic
+flight fits the motion of the hands best.
 """
 
 from enum import Enum
@@ -12,12 +11,12 @@ from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from kinefilter.characters.anthropometry import GRAVITY
-from kinefilter.characters.arrays import Array, runs
+from kinefilter.characters.arrays import Array, Indices, runs
 
 from .performer_hands import Hands, fading
 from .poses import LEFT, RIGHT
@@ -32,11 +31,7 @@ _FASTEST_PUSH = 12.0  # m/s, faster than a dribbler's hand
 
 
 def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
-    """Return the height [m] of a bouncing ball some time [s] after its start.
-
-    It starts at a height [m], not negative, with an upward speed [m/s]. Arguments
-    broadcast.
-    """
+    """Return the height [m] of a ball with an upward speed [m/s] after a time [s]."""
     h, v, t = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (height, speed, duration))
     )
@@ -53,11 +48,7 @@ def flown(height: ArrayLike, speed: ArrayLike, duration: ArrayLike) -> Array:
 
 
 def rolled(height: float, speed: float, duration: ArrayLike) -> Array:
-    """Return the horizontal distance per unit of launch speed [s].
-
-    In the air it is the time itself; after the first bounce the ball slows down as if
-    it rolled.
-    """
+    """Return the way per launch speed [s]; after the first bounce it rolls."""
     time = np.asarray(duration, dtype=float)
     fall = (speed + np.sqrt(speed**2 + 2.0 * GRAVITY * height)) / GRAVITY
     rolling = np.maximum(time - fall, 0.0)
@@ -75,12 +66,10 @@ def launch_speed(
 ) -> Array:
     """Return the upward speed [m/s] that takes a ball from one height to another.
 
-    Of all such speeds, with any number of bounces, this is the one closest to the wish.
-    A throw without a bounce is always possible.
-
-    Heights at the start and the end [m], the time between them [s], positive, and the
-    ``wish``, the upward speed of the hand at the release [m/s], broadcast. ``bouncing``
-    requires at least one bounce; the speed is NaN where that is impossible.
+    Of all such speeds, with any number of bounces, this is the one closest to the
+    ``wish``, that of the hand at the release [m/s]. Heights [m], the time between them
+    [s], positive, and the wish broadcast. A throw is always possible; ``bouncing``
+    requires at least one bounce, and the speed is NaN where that is impossible.
     """
     start, end, duration, wish = np.broadcast_arrays(
         *(np.asarray(value, dtype=float) for value in (start, end, duration, wish))
@@ -204,7 +193,6 @@ def _top(hands: Hands, event: _Event, earliest: int) -> int:
 
 
 def _events(hands: Hands, radius: float) -> list[_Event]:
-    """Return holds and strokes in order of time."""
     held = _holds(hands, radius)
     bottoms = []
     for hand in (LEFT, RIGHT):
@@ -223,7 +211,6 @@ def _events(hands: Hands, radius: float) -> list[_Event]:
 
 
 def _catcher(stroke: _Event, following: _Event | None) -> int:
-    """Return the hand that gets the ball after a stroke."""
     if following is None or following.hand == _BOTH:
         return stroke.hand
     return following.hand
@@ -245,16 +232,9 @@ def _stroke(
 
 
 def _best_flight(
-    hands: Hands,
-    release: NDArray[np.int64],
-    catch: NDArray[np.int64],
-    pair: tuple[int, int],
-    radius: float,
+    hands: Hands, release: Indices, catch: Indices, pair: tuple[int, int], radius: float
 ) -> tuple[int, int | None]:
-    """Return the release and the catch at which a flight fits the hands' speeds best.
-
-    The ball must bounce on its way; where it cannot, there is no catch.
-    """
+    """Return the release and the catch, if any, of the best flight with a bounce."""
     before, after = np.meshgrid(release, catch, indexing="ij")
     start = _under(hands, pair[0], radius)[before, 2] - radius
     end = _under(hands, pair[1], radius)[after, 2] - radius
@@ -277,11 +257,8 @@ _BLEND = 0.08  # s: standard deviation of the change from one hand to both: a gu
 def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
     """Return the path of the ball's center [m], shape (T, 3).
 
-    A ball that no hand touches stays in place. A ball that is released and not caught
-    bounces until it comes to rest.
-
-    ``radius`` [m] is that of the ball, ``rest`` its center where it is untouched [m],
-    shape (3,).
+    A ball that no hand touches stays in place, with its center at ``rest`` [m], (3,). A
+    ball that is released and not caught bounces until it comes to rest.
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     touches = contacts(hands, radius)
@@ -297,25 +274,20 @@ def ball_path(hands: Hands, radius: float, rest: Array) -> Array:
 
 
 def _in_hands(hands: Hands, touch: Contact, radius: float) -> Array:
-    """Return the center of the ball [m] in every frame of a contact."""
     both = np.zeros(len(hands.time))
     for hold in _holds(hands, radius):
         both[hold.first : hold.last + 1] = 1.0
     span = slice(touch.start, touch.end + 1)
     caught = np.cumsum(both[span]) > 0.0
     share = gaussian_filter1d(both[span], _BLEND * hands.rate, mode="nearest")
-    before, after = (
-        _under(hands, hand, radius)[span] for hand in (touch.catcher, touch.thrower)
-    )
+    before = _under(hands, touch.catcher, radius)[span]
+    after = _under(hands, touch.thrower, radius)[span]
     one = np.where(caught[:, None], after, before)
     return np.asarray(one + share[:, None] * (_between(hands, radius)[span] - one))
 
 
 def _between(hands: Hands, radius: float) -> Array:
-    """Return the center of a ball that both palms touch [m], (T, 3).
-
-    Where the palms are too close together the ball is in front of them.
-    """
+    """Return the center of a ball that both palms touch [m], (T, 3)."""
     away = (radius + hands.radius) ** 2 - 0.25 * hands.gap**2
     center = hands.middle + np.sqrt(np.maximum(away, 0.0))[:, None] * hands.reach
     center[:, 2] = np.maximum(center[:, 2], radius)
@@ -323,7 +295,6 @@ def _between(hands: Hands, radius: float) -> Array:
 
 
 def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
-    """Have the ball lie on the floor where it will be grasped."""
     if taken == 0:
         return
     place = np.array([*path[taken, :2], radius])
@@ -334,7 +305,6 @@ def _lie_until(path: Array, hands: Hands, taken: int, radius: float) -> None:
 
 
 def _release_velocity(hands: Hands, touch: Contact) -> Array:
-    """Return the velocity [m/s] of the hand or hands that release the ball."""
     speed = hands.speed[touch.end]
     if touch.ending is Ending.STROKE:
         return np.asarray(speed[touch.thrower])
@@ -343,7 +313,6 @@ def _release_velocity(hands: Hands, touch: Contact) -> Array:
 
 
 def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -> None:
-    """Fill in the flight from the end of a contact to the frame of the next catch."""
     flight = slice(touch.end, catch + 1)
     time = hands.time[flight] - hands.time[touch.end]
     start, end = path[touch.end].copy(), path[catch].copy()
@@ -358,7 +327,6 @@ def _fly(path: Array, hands: Hands, touch: Contact, catch: int, radius: float) -
 
 
 def _let_go(path: Array, hands: Hands, last: Contact, radius: float) -> None:
-    """Fill in the flight of a ball that no one catches."""
     start, speed = path[last.end].copy(), _release_velocity(hands, last)
     time = hands.time[last.end :] - hands.time[last.end]
     low, up = float(start[2] - radius), float(speed[2])

@@ -1,8 +1,7 @@
 """Clearance of scripted hands and forearms: head, trunk, legs, floor, the other arm.
 
-A script defines where a hand goes, regardless of obstacles. Where a forearm or hand
-would penetrate another part by more than soft tissue allows, the hand is moved out the
-shortest way, and the arm follows.
+Where a forearm or hand would penetrate another part by more than soft tissue allows,
+the hand is moved out the shortest way, and the arm follows.
 """
 
 from dataclasses import replace
@@ -77,10 +76,6 @@ def _displacement(puppet: Puppet, positions: Array, side: int) -> Array:
 
 
 def _obstacles(skeleton: Skeleton, side: int) -> list[tuple[int, float]]:
-    """Return the parts an arm must clear, and its share of the displacement.
-
-    A part is given by the joint at its end. Two arms each move by half.
-    """
     trunk = skeleton.ancestors(skeleton.index("Head"))
     legs = [j for part in _LEGS for j in skeleton.sides(part)]
     other = [skeleton.index(part + SIDES[1 - side]) for part in ("Elbow", *_FOREARM)]
@@ -109,14 +104,11 @@ def _smooth(push: Array, fps: float) -> Array:
     return np.asarray(blurred * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
 
 
-def _pushed(
-    puppet: Puppet, pose: Pose, positions: Array, side: int, push: Array
-) -> Pose:
+def _pushed(puppet: Puppet, pose: Pose, joints: Array, side: int, push: Array) -> Pose:
     """Return the motion with one hand moved by ``push`` [m], elbow direction kept."""
     index = puppet.body.skeleton.index
     shoulder, elbow, wrist = (
-        positions[:, index(part + SIDES[side])]
-        for part in ("Shoulder", "Elbow", "Wrist")
+        joints[:, index(part + SIDES[side])] for part in ("Shoulder", "Elbow", "Wrist")
     )
     fore = wrist - elbow
     fore = fore * (puppet.forearm(side) / np.linalg.norm(fore, axis=1))[:, None]
@@ -131,7 +123,6 @@ def _pushed(
 
 
 def _smoothed(before: Pose, after: Pose, fps: float) -> Pose:
-    """Blur the arms over time where they were moved."""
     width = _SMOOTHING / 2.0 * fps
     moved = np.any(before.arm != after.arm, axis=-1)
     share = gaussian_filter1d(moved.astype(float), width, axis=0)[..., None]

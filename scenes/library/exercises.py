@@ -1,13 +1,9 @@
 """Scripted exercises of physiotherapy, done right and done wrong.
 
-The ten movements of the University of Idaho's set (Vakanski et al. 2018, Data 3(1):2):
-deep squat, hurdle step, inline lunge, side lunge, sit to stand, straight leg raise, and
-the shoulder's abduction, extension, rotation and scaption. In wrong repetitions people
-lean, twist, shift, stop short, let the knees go inward or the arms sink.
-
-The four exercises for lymph flow of Chiang et al. 2017 (IEEE EMBC), parts of The
-Optimal Lymph Flow program; the arm movements follow their names and the paper's
-figure 6.
+The ten movements of the University of Idaho's set (Vakanski et al. 2018, Data 3(1):2),
+in which people lean, twist, shift, stop short, let the knees go inward or the arms
+sink; and the four for lymph flow of Chiang et al. 2017 (IEEE EMBC), after their names
+and the paper's figure 6.
 """
 
 from collections.abc import Iterator
@@ -25,7 +21,6 @@ _OVERHEAD = (*["overhead"] * 5, "stick", "forward", "wide")
 def _begin(
     puppet: Puppet, rng: Rng, base: Pose, holds: tuple[str, ...] = _STICKS
 ) -> tuple[Score, Pose]:
-    """Return a score that takes up an arm hold, and the pose it ends in."""
     ready = draw_hold(rng, *holds).put(puppet, base, draw_fault(rng))
     return Score(base).hold(0.2).to(rng.uniform(0.6, 0.9), ready), ready
 
@@ -37,12 +32,10 @@ def _end(score: Score, rng: Rng, base: Pose) -> Score:
 def _faulty(
     puppet: Puppet, ready: Pose, hold: ArmHold, fault: Fault, share: float = 1.0
 ) -> Pose:
-    """Return the pose with the fault in trunk and arms."""
     return hold.put(puppet, fault.bend(puppet, ready, share), fault)
 
 
 def _repeat(score: Score, rng: Rng, peak: Pose, ready: Pose) -> None:
-    """Go to the peak of a repetition and back."""
     score.to(rng.uniform(0.8, 1.6), peak).hold(rng.uniform(0.05, 0.4))
     score.to(rng.uniform(0.8, 1.5), ready).hold(rng.uniform(0.05, 0.3))
 
@@ -65,7 +58,6 @@ def _deep_squat(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 def _leg_by_leg(
     puppet: Puppet, rng: Rng, base: Pose, score: Score, length: float
 ) -> Iterator[tuple[int, ArmHold, Fault, Pose]]:
-    """Yield the moving leg, arm hold, fault and starting pose of each repetition."""
     for side in alternating(score, rng, length, 0.7):
         hold, fault = draw_hold(rng, *_STICKS), draw_fault(rng)
         yield side, hold, fault, hold.put(puppet, base, fault)
@@ -252,7 +244,6 @@ def _shoulder_rotation(puppet: Puppet, rng: Rng, base: Pose, length: float) -> S
 
 
 def _breathed(pose: Pose, rng: Rng, depth: float) -> Pose:
-    """Return the pose with the chest raised or lowered, and slightly varied."""
     lean, turn = rng.normal(0.0, 0.04, 2)
     return pose.leaning(spine=(-0.12 * depth, lean, turn), head=-0.1 * depth)
 

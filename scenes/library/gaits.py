@@ -1,8 +1,7 @@
 """Scripted gaits: walking, running, carrying, marching, turning on the spot.
 
-Timing after Winter 1991, The Biomechanics and Motor Control of Human Gait: stance is
-62 % of a walking cycle and about 35 % of a running one. A planted foot stays in place
-while the root passes over it.
+Planted feet stay in place. Timing after Winter 1991, The Biomechanics and Motor Control
+of Human Gait: stance is 62 % of a walking cycle and about 35 % of a running one.
 """
 
 from dataclasses import replace
@@ -72,10 +71,7 @@ def _style(name: str, rng: Rng) -> _Gait:
 def gait(
     name: str, puppet: Puppet, rng: Rng, time: Array, within: Area | None = None
 ) -> Pose:
-    """Return the motion of a gait at the given times [s], shape (T,).
-
-    The path leads straight ahead, or around an ellipse within an area.
-    """
+    """Return a gait at times [s], (T,), straight ahead or around an ellipse."""
     style, size = _style(name, rng), puppet.scale
     loop = None if within is None else _Loop(within, int(rng.choice([-1, 1])))
     if loop is not None:
@@ -135,8 +131,7 @@ class _Loop:
         wide, deep = (0.5 * (most - least) for least, most in area)
         wide = min(wide, _LONGEST_LOOP * deep)
         deep = min(deep, _LONGEST_LOOP * wide)
-        self.sharpest = min(wide, deep) ** 2 / max(wide, deep)
-        """Smallest radius of curvature [m]."""
+        self.sharpest = min(wide, deep) ** 2 / max(wide, deep)  # radius [m]
         angle = np.linspace(0.0, 2.0 * np.pi, 721)
         center = np.array([sum(side) / 2.0 for side in area])
         edge = np.stack([-sign * wide * np.cos(angle), deep * np.sin(angle)], axis=-1)
@@ -148,11 +143,7 @@ class _Loop:
         self._curvature = np.gradient(self._heading, self._distance)
 
     def _along(self, points: Array, start: float) -> tuple[Array, Array, Array]:
-        """Return points [m] moved from a straight path to the loop, heading, curvature.
-
-        z, counted from the start, becomes the distance along the loop, and x the
-        distance across it. Heading [rad] and curvature [1/m] are those of the loop.
-        """
+        """Return points [m] moved from a straight path to the loop, and its heading."""
         rounds, rest = np.divmod(points[..., 2] - start, self._distance[-1])
         x, z, heading, curvature = (
             np.interp(rest, self._distance, values)
@@ -165,10 +156,7 @@ class _Loop:
         return moved, heading, curvature
 
     def bent(self, pose: Pose, speed: float) -> Pose:
-        """Return a straight motion at a speed [m/s], led around the loop.
-
-        Planted feet stay in place, and the body leans inward.
-        """
+        """Return a straight motion at a speed [m/s] led around the loop, leaning."""
         start = pose.root[0, 2]
         root, heading, curvature = self._along(pose.root, start)
         ankle, toes, _ = self._along(pose.ankle, start)
@@ -223,7 +211,6 @@ def _swing_arms(
 
 
 def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
-    """Hold a box in front of the body, or a bag in one hand."""
     if rng.random() < 0.3:
         return pose.with_arm(int(rng.integers(2)), puppet.arm(0.2, 0.1, 0.2, 0.1))
     goal = (rng.uniform(0.12, 0.2), rng.uniform(-0.42, -0.12), rng.uniform(0.25, 0.36))
@@ -232,7 +219,6 @@ def _load(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
 
 
 def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    """Turn on the spot in small steps, one foot after the other."""
     score, pose = Score(base).hold(0.3), base
     center = base.ankle.mean(axis=0)
     home = np.array([center[0], base.root[1], center[2]])
@@ -260,5 +246,4 @@ def _turn(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 GAITS = ("carry", "march", "run", "walk")  # names of the gaits
 
-TURNS: dict[str, Script] = {"turn": _turn}
-"""Motions that turn on the spot, by name."""
+TURNS: dict[str, Script] = {"turn": _turn}  # motions that turn on the spot, by name

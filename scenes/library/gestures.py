@@ -12,7 +12,6 @@ _DOWN_OUT = (0.6, -1.0, -0.1)
 
 
 def _varied(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
-    """Vary the trunk a little, so that repetitions differ."""
     return pose.leaning(
         side=0.015 * size * rng.normal(),
         spine=tuple(0.04 * size * rng.normal(size=3)),

@@ -1,8 +1,7 @@
 """Motion of a scene's movable props during a performance.
 
-A box is carried while the hands are about its width apart and in front of the body. It
-is lifted where the hands are lowest before they rise, and set down where they are
-lowest before they part.
+A box is carried while the hands are about its width apart and ahead of the body, from
+where they are lowest before they rise to where they are lowest before they part.
 """
 
 from collections.abc import Callable
@@ -32,11 +31,10 @@ def box_path(hands: Hands, size: Array, rest: Array, support: Support) -> Array:
     """Return position [m] and rotation wxyz of the box, shape (T, 7).
 
     Until it is first lifted, the box lies below the place of the lift; if that is in
-    the air, the hands hold it from the start. A box released in the air falls.
-
-    ``size`` are the half extents of the box [m], y between the hands, shape (3,),
-    ``rest`` is its pose where it is untouched, shape (7,), and ``support`` returns the
-    height [m] of the surface below a point.
+    the air, the hands hold it from the start. A box released in the air falls. ``size``
+    are its half extents [m], y between the hands, (3,), ``rest`` its pose where it is
+    untouched, (7,), and ``support`` returns the height [m] of the surface below a
+    point.
     """
     path = np.tile(np.asarray(rest, dtype=float), (len(hands.time), 1))
     for number, (lift, drop) in enumerate(_carries(hands, size)):
@@ -82,7 +80,6 @@ def _held(hands: Hands) -> Array:
 
 
 def _laid(hands: Hands, frame: int, size: Array, support: Support) -> Array:
-    """Return the pose of the box upright on the surface below the hands, shape (7,)."""
     x, y, z, *turn = _held(hands)[frame]
     upright = normalize(np.array([turn[0], 0.0, 0.0, turn[3]]))
     return np.array([x, y, support(np.array([x, y, z])) + size[2], *upright])
@@ -107,17 +104,13 @@ def _carried(
 
 
 def _off(wanted: Array, held: Array) -> Array:
-    """Return the difference of two poses, quaternions in one hemisphere, shape (7,)."""
     sign = np.ones(7)
     sign[3:] = 1.0 if wanted[3:] @ held[3:] >= 0.0 else -1.0
     return np.asarray(sign * wanted - held)
 
 
 def movable_props(scene: mujoco.MjSpec) -> tuple[str, ...]:
-    """Return the names of the movable props: the bodies with a free joint.
-
-    The character also has a free joint; it is recognized by its target body.
-    """
+    """Return the names of the bodies with a free joint, except the character's."""
     bodies = {body.name for body in scene.bodies}
     free = mujoco.mjtJoint.mjJNT_FREE
     names = (joint.parent.name for joint in scene.joints if joint.type == free)
@@ -129,10 +122,7 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
 
     A pose is the position [m] and the rotation wxyz of the prop's body in MuJoCo's
     world. A box is carried between both hands; a sphere is held, dribbled and thrown;
-    every other prop stays in place. The props follow the hands and do not affect the
-    performer.
-
-    A character in the scene is ignored.
+    every other prop stays in place. A character in the scene is ignored.
     """
     model = scene.copy().compile()
     hands = Hands.of(motion)

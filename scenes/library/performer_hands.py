@@ -1,9 +1,8 @@
 """Hands of a performer in MuJoCo's world (z up), for the props that follow them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +26,7 @@ class Hands:
     radius: float  # of a hand [m]
 
     @classmethod
-    def of(cls, motion: Motion) -> Hands:
+    def of(cls, motion: Motion) -> Self:
         """Return the hands of a motion."""
         skeleton = motion.skeleton
         positions = to_mujoco(motion.positions)
@@ -84,10 +83,7 @@ class Hands:
 
     @cached_property
     def turn(self) -> Array:
-        """Rotation, wxyz, of an object that both hands hold level, shape (T, 4).
-
-        Its y axis points from the right hand to the left.
-        """
+        """Rotation, wxyz, of an object held level, y to the left hand, shape (T, 4)."""
         y = unit(self._line)
         x = unit(np.cross(y, np.array([0.0, 0.0, 1.0])))
         return wxyz_from_matrix(np.stack([x, y, np.cross(x, y)], axis=-1))
@@ -98,8 +94,5 @@ class Hands:
 
 
 def fading(time: Array) -> Array:
-    """Return a weight that falls smoothly from 1 at 0 s to 0 at 0.3 s.
-
-    0.3 s is a guess: quick enough for a grasp, slow enough not to be noticed.
-    """
+    """Return a weight that falls smoothly from 1 at 0 s to 0 at 0.3 s, a guess."""
     return 1.0 - smooth_step(time / 0.3)

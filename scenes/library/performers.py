@@ -1,8 +1,7 @@
 """Scripted performers: seeded human motions on any body, with known rotations.
 
-Each motion is a family: the seed determines amplitude, tempo, sides, stance and style,
-and the repetitions within a performance differ. The motions are designed, not recorded:
-ranges of motion are those of healthy adults, and the timing is plausible.
+The seed determines amplitude, tempo, sides, stance and style, and the repetitions
+within a performance differ. The motions are designed, not recorded.
 """
 
 from collections.abc import Sequence
@@ -29,28 +28,20 @@ from .stances import stance
 _SCRIPTS = GESTURES | ACTIONS | TURNS | EXERCISES | SPORTS | PROP_MOTIONS
 
 MOTIONS = tuple(sorted((*_SCRIPTS, *GAITS)))
-"""Names of the motions that ``perform`` knows.
-
-Some come in two versions: as people move of their own accord (squat, lunge, step_over,
-sit, raise_leg), and as an exercise with a prescribed arm position that is often done
-wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise).
-"""
+"""Names of the motions that ``perform`` knows. Some come in two versions: as people do
+them of their own accord (squat, lunge, step_over, sit, raise_leg), and as an exercise
+often done wrong (deep_squat, inline_lunge, hurdle_step, sit_to_stand, leg_raise)."""
 
 _EXTRA_WIDTH = {
-    "deep_squat": 0.7,
-    "bend_leg": -0.3,
     "dance": -0.5,
-    "dodge": 1.0,
-    "hurdle_step": -0.3,
     "kick": 0.2,
-    "leg_raise": -0.3,
-    "pick_up": 0.4,
-    "punch": 0.3,
-    "sit": 0.4,
-    "sit_to_stand": 0.4,
+    "deep_squat": 0.7,
     "squat": 0.9,
-    "swing": 0.3,
+    "dodge": 1.0,
 }
+_EXTRA_WIDTH |= dict.fromkeys(("bend_leg", "hurdle_step", "leg_raise"), -0.3)
+_EXTRA_WIDTH |= dict.fromkeys(("pick_up", "sit", "sit_to_stand"), 0.4)
+_EXTRA_WIDTH |= dict.fromkeys(("punch", "swing"), 0.3)
 """Extra distance between the feet, in hip widths, by motion."""
 
 _USUAL_EXTRA_WIDTH = -0.25  # of all other motions: the feet are 11 to 29 cm apart
@@ -63,8 +54,7 @@ _HIPS_AHEAD = (0.035, 0.02)
 quiet standing: the line of gravity passes about 5 cm in front of the ankles and just
 behind the hips (Winter 1995, Gait Posture 3(4))."""
 
-_TRUNK_TILT = (-0.03, 0.05)
-"""Mean and standard deviation of the trunk's tilt [rad] in standing, a guess."""
+_TRUNK_TILT = (-0.03, 0.05)  # rad, in standing: mean and deviation, a guess
 
 _SHORTEST, _TALLEST = 1.5, 2.0  # m, of random bodies: about 99 % of adults
 # Mean and standard deviation of stature [m], men and women, in ANSUR II (Gordon et al.
@@ -82,10 +72,7 @@ _SWAY_RATES = np.array([0.13, 0.29, 0.61])  # Hz: balance and breathing
 
 
 def random_body(skeleton: Skeleton, rng: np.random.Generator) -> Body:
-    """Draw the stature, build and mass of a person and return the body.
-
-    The body is symmetric. The same draws give the same person on every skeleton.
-    """
+    """Draw the stature, build and mass of a symmetric body, alike on every skeleton."""
     check_kind(rng, np.random.Generator, "rng")
     mean, deviation = _STATURES[int(rng.integers(2))]
     height = float(np.clip(rng.normal(mean, deviation), _SHORTEST, _TALLEST))
@@ -105,13 +92,11 @@ def perform(
     """Return one performance of a motion; it lasts at least 5 s.
 
     The last movement is always complete. The character starts near the origin of the
-    world, facing +z, or with ``within`` at the start of its loop.
-
-    ``name`` is one of MOTIONS, or of TASKS, which fit one scene; InputError for others.
-    The seed determines style, tempo and sides; the same seed gives the same arrays.
-    ``within`` is the area in which the root stays in gaits (carry, march, run, walk),
-    which then go around it with shorter steps; by default they go straight ahead. Other
-    motions ignore it.
+    world, facing +z, or with ``within`` at the start of its loop. ``name`` is one of
+    MOTIONS, or of TASKS, which fit one scene; InputError for others. The seed
+    determines style, tempo and sides. ``within`` is the area in which the root stays in
+    gaits, which then go around it with shorter steps; by default they go straight
+    ahead.
     """
     check_choice(name, (*MOTIONS, *TASKS), "motion")
     rng = np.random.default_rng([seed, crc32(name.encode())])
@@ -133,7 +118,6 @@ def perform(
 
 
 def _varied(name: str, puppet: Puppet, base: Pose, rng: Rng) -> Pose:
-    """Vary a stance: the way the arms hang and, in some motions, one foot in front."""
     u = rng.uniform
     for side in (LEFT, RIGHT):
         arm = puppet.arm(u(0.1, 0.3), u(-1.0, 0.9), u(0.0, 0.7), u(0.1, 0.6))
@@ -153,9 +137,9 @@ def perform_medley(
 ) -> Motion:
     """Return several motions on the spot, one after another, at 30 frames per second.
 
-    ``parts`` are their names and the minimum duration of each [s]; see ``perform`` for
-    the body and the seed. Unlike there, arms may pass through the body. Raises an
-    InputError if a motion does not stay on the spot, or without parts.
+    ``parts`` are their names and the minimum duration of each [s]. Unlike in
+    ``perform``, arms may pass through the body. Raises an InputError if a motion does
+    not stay on the spot, or without parts.
     """
     if not parts:
         raise InputError("a medley needs at least one motion")
@@ -165,10 +149,9 @@ def perform_medley(
     for name, seconds in parts:
         check_choice(name, MOTIONS, "motion")
         if name in GAITS:
-            allowed = ", ".join(sorted(_SCRIPTS))
             raise InputError(
                 f"{name!r} does not stay on the spot, so a medley cannot contain it; "
-                f"choose from {allowed}"
+                f"choose from {', '.join(sorted(_SCRIPTS))}"
             )
         score.append(_SCRIPTS[name](puppet, rng, base, seconds))
         score.to(0.4, base)
@@ -184,8 +167,6 @@ def _motion(name: str, puppet: Puppet, time: Array, pose: Pose) -> Motion:
 
 
 def _swaying(pose: Pose, time: Array, rng: Rng) -> Pose:
-    """Add the small sway of a living body to everything except the feet."""
-
     def sway(*shape: int) -> Array:
         weights = rng.normal(0.0, 0.6, (3, *shape))
         phases = rng.uniform(0.0, 2.0 * np.pi, (3, *shape))

@@ -1,8 +1,7 @@
 """Poses of a performer, and sequences of poses in time.
 
-Joint ranges are the active ranges of healthy adults after the American Academy of
-Orthopaedic Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed.,
-appendix B.
+Joint ranges are the active ranges of healthy adults (American Academy of Orthopaedic
+Surgeons, in Norkin & White 2016, Measurement of Joint Motion, 5th ed., appendix B).
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from kinefilter.characters.rotations import continuous
 
 Rng = np.random.Generator
 Angles = float | tuple[float, float, float]
+Arm = tuple[Array, Array]  # upper arm (..., 4) and elbow (...) of a pose
 LEFT, RIGHT, BOTH = 0, 1, slice(None)  # sides of a pose
 
-_SMOOTHING = 0.05
-"""Standard deviation [s] of the blur that rounds the motion at the key poses."""
+_SMOOTHING = 0.05  # s, standard deviation of the blur of the motion at the key poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class Pose:
     lifted: Array  # 0: the foot is planted; 1: it hangs from the shank, (..., 2)
     knee_out: Array  # outward rotation of the knee relative to the foot, (..., 2)
 
-    def with_arm(self, side: int | slice, arm: tuple[Array, Array]) -> Pose:
+    def with_arm(self, side: int | slice, arm: Arm) -> Pose:
         """Return the pose with a new (upper arm, elbow) on one side or on BOTH."""
         arms, elbows = self.arm.copy(), self.elbow.copy()
         arms[..., side, :], elbows[..., side] = arm
@@ -61,12 +60,10 @@ class Pose:
     ) -> Pose:
         """Return the pose with the root moved [m] and trunk angles [rad] added.
 
-        A single number is a forward tilt of the pelvis or a flexion of spine or head.
+        A single number is a forward tilt or flexion.
         """
         tilt = pelvis if isinstance(pelvis, tuple) else (0.0, pelvis, 0.0)
-        bend, nod = (
-            a if isinstance(a, tuple) else (a, 0.0, 0.0) for a in (spine, head)
-        )
+        bend, nod = (a if isinstance(a, tuple) else (a, 0, 0) for a in (spine, head))
         return replace(
             self,
             root=self.root + np.array([side, -drop, -back]),
@@ -169,10 +166,7 @@ JOINT_RANGES: dict[str, tuple[float, float]] = {
 
 
 def within_ranges(pose: Pose) -> Pose:
-    """Return the pose with trunk and neck angles clipped to their ranges.
-
-    Elbows and knees cannot leave theirs; shoulders and hips stay as scripted.
-    """
+    """Return the pose with trunk and neck angles clipped to their ranges."""
     angles = ("flexion", "bend", "rotation")
     trunk, neck = (
         np.radians([JOINT_RANGES[f"{part} {angle}"] for angle in angles])

@@ -1,7 +1,6 @@
 """Scripted motions with an imaginary object in the hands or under the body.
 
-There is one for each scene of Shum et al. 2013, table II: a box to lift, a flip chart,
-a basketball, a chair, an office desk. The hands are where the object would be.
+There is one for each scene of Shum et al. 2013, table II.
 """
 
 from dataclasses import replace
@@ -93,7 +92,6 @@ def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 
 
 def _ahead(yaw: float) -> Array:
-    """Return the horizontal direction of a heading [rad], shape (3,)."""
     return np.array([np.sin(yaw), 0.0, np.cos(yaw)])
 
 
@@ -191,7 +189,6 @@ def _seat(puppet: Puppet, rng: Rng, base: Pose, knees: float) -> _Seat:
 
 
 def _shifted(pose: Pose, rng: Rng, size: float = 1.0) -> Pose:
-    """Vary the trunk and the head of a seated person."""
     lean, side, turn = size * rng.normal(0.0, (0.12, 0.08, 0.12))
     head = tuple(0.12 * size * rng.normal(size=3))
     return pose.leaning(pelvis=0.4 * lean, spine=(lean, side, turn), head=head)
@@ -261,5 +258,4 @@ def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 PROP_MOTIONS = by_name(_basketball, _chair, _flip_chart, _lift_box, _office)
 """Motions with an imaginary object, by name."""
 
-TASKS: dict[str, Script] = {"store_box": _store_box}
-"""Motions that fit one scene, and are in no database and no training data."""
+TASKS: dict[str, Script] = {"store_box": _store_box}  # for one scene, never learned

@@ -1,11 +1,9 @@
 """A body that is posed by anatomical angles and planted feet.
 
-A pose is given the way an anatomist or a choreographer would: tilt of the pelvis and
-spine, direction of the upper arms, flexion of the elbows, and places of the feet. The
-legs follow by two-bone inverse kinematics, so that planted soles stay in place whatever
-the trunk does. Shoulder angles follow the International Society of Biomechanics (Wu et
-al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90 degrees forward),
-elevation, axial rotation (positive inward).
+Trunk and arms are posed by angles; the legs follow by two-bone inverse kinematics, so
+that planted soles stay in place. Shoulder angles follow the International Society of
+Biomechanics (Wu et al. 2005, J. Biomech. 38(5)): plane of elevation (0 to the side, 90
+degrees forward), elevation, axial rotation (positive inward).
 """
 
 from dataclasses import replace
@@ -30,7 +28,7 @@ from kinefilter.characters.rotations import (
     wxyz_from_matrix,
 )
 
-from .poses import LEFT, RIGHT, Pose
+from .poses import LEFT, RIGHT, Arm, Pose
 
 _SIDES = np.array([1.0, -1.0])
 _X, _DOWN = np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
@@ -66,8 +64,7 @@ class Puppet:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.scale = body.height / STANDARD_HEIGHT
-        """Size relative to the standard body, for which the motions are written."""
+        self.scale = body.height / STANDARD_HEIGHT  # relative to the standard body
         sides, rest = body.skeleton.sides, body.rest_positions
         arm = [sides(joint) for joint in ("Shoulder", "Elbow", "Wrist", "Hand")]
         leg = [sides(joint) for joint in ("Hip", "Knee", "Ankle", "Foot")]
@@ -85,7 +82,7 @@ class Puppet:
 
     def arm(
         self, elevation: ArrayLike, plane: ArrayLike, axial: ArrayLike, elbow: ArrayLike
-    ) -> tuple[Array, Array]:
+    ) -> Arm:
         """Return (upper arm, elbow) for shoulder angles [rad] after Wu et al. 2005."""
         elevation, plane, axial, elbow = np.broadcast_arrays(
             *(np.asarray(a, dtype=float) for a in (elevation, plane, axial, elbow))
@@ -100,16 +97,14 @@ class Puppet:
         """Return the length [m] from elbow to hand with a straight wrist."""
         return float(self._fore[side] + self._hand[side])
 
-    def reach(
-        self, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> tuple[Array, Array]:
+    def reach(self, side: int, goal: ArrayLike, pole: ArrayLike) -> Arm:
         """Return (upper arm, elbow) that bring the hand joint to a goal.
 
         The goal is outward (to the side of the arm), up and forward of the joint
         between the shoulders, thorax frame [m] on the standard body, shape (..., 3);
-        the elbow points in the direction ``elbow_to``, same axes, shape (..., 3).
+        the elbow points in the direction ``pole``, same axes, shape (..., 3).
         """
-        goal, pole = np.asarray(goal, float) * self.scale, np.asarray(elbow_to, float)
+        goal, pole = np.asarray(goal, float) * self.scale, np.asarray(pole, float)
         upper, lower = self._upper[side], self.forearm(side)
         near, far = _third_side(upper, lower, _MAX_ELBOW), _MAX_REACH * (upper + lower)
         along = np.array([np.sin(0.8) * np.cos(1.0), -np.cos(0.8), np.sin(0.8)])
@@ -124,31 +119,29 @@ class Puppet:
         bend = (upper**2 + lower**2 - distance**2) / (2.0 * upper * lower)
         return arm, np.pi - np.arccos(bend)
 
-    def put_hand(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> Pose:
+    def put_hand(self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike) -> Pose:
         """Return the pose with a hand at a goal; arguments as in ``reach``."""
-        return pose.with_arm(side, self.reach(side, goal, elbow_to))
+        return pose.with_arm(side, self.reach(side, goal, pole))
 
-    def reach_both(self, pose: Pose, goal: ArrayLike, elbow_to: ArrayLike) -> Pose:
+    def reach_both(self, pose: Pose, goal: ArrayLike, pole: ArrayLike) -> Pose:
         """Return the pose with both hands at mirrored goals; see ``reach``."""
-        pose = self.put_hand(pose, LEFT, goal, elbow_to)
-        return self.put_hand(pose, RIGHT, goal, elbow_to)
+        pose = self.put_hand(pose, LEFT, goal, pole)
+        return self.put_hand(pose, RIGHT, goal, pole)
 
     def reach_world(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
-    ) -> tuple[Array, Array]:
+        self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
+    ) -> Arm:
         """Return ``reach`` for a goal in the world frame [m] and a pose's trunk."""
         trunk = self.trunk(pose)
         local = rotate(inverse(trunk.thorax), np.asarray(goal, float) - trunk.neck)
         local = local * np.array([_SIDES[side], 1.0, 1.0]) / self.scale
-        return self.reach(side, local, elbow_to)
+        return self.reach(side, local, pole)
 
     def put_hand_world(
-        self, pose: Pose, side: int, goal: ArrayLike, elbow_to: ArrayLike
+        self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
     ) -> Pose:
         """Return the pose with a hand at a goal in the world frame [m]."""
-        return pose.with_arm(side, self.reach_world(pose, side, goal, elbow_to))
+        return pose.with_arm(side, self.reach_world(pose, side, goal, pole))
 
     def swing_leg(
         self, pose: Pose, side: int, flexion: float, abduction: float, knee: float
@@ -206,9 +199,8 @@ class Puppet:
     def solve(self, pose: Pose) -> tuple[Array, Array]:
         """Return world rotations wxyz (..., J, 4) and joint positions [m] (..., J, 3).
 
-        Rotations follow the convention of Clip: those of the segment ending at each
-        joint, identity in the T-pose, the pelvis in the root's row. Elbows and knees
-        are hinges: upper and lower segment share the axis.
+        Rotations are those of Clip. Elbows and knees are hinges: upper and lower
+        segment share the axis.
         """
         trunk = self.trunk(pose)
         turns = {"pelvis": trunk.pelvis, "lower": trunk.lower, "thorax": trunk.thorax}
@@ -239,11 +231,8 @@ class Puppet:
         line = ankles[..., side, :] - trunk.root
         line = rotate(inverse(trunk.pelvis), line) - self._hips[side]
         upper, lower = self._thigh[side], self._shank[side]
-        distance = np.clip(
-            np.linalg.norm(line, axis=-1),
-            _third_side(upper, lower, _MAX_KNEE),
-            _MAX_REACH * (upper + lower),
-        )
+        near, far = _third_side(upper, lower, _MAX_KNEE), _MAX_REACH * (upper + lower)
+        distance = np.clip(np.linalg.norm(line, axis=-1), near, far)
         line = unit(line)
         out = _SIDES[side] * pose.knee_out[..., side] + _KNEE_FOLLOWS_FOOT * (
             1.0 - pose.lifted[..., side]
@@ -272,11 +261,7 @@ def _third_side(a: float, b: float, flexion: float) -> float:
 def _upper_bone(
     upper: float, lower: float, distance: Array, line: Array, toward: Array
 ) -> Array:
-    """Return the direction of a limb's upper bone, (..., 3).
-
-    The limb's ends are ``distance`` apart along the unit vector ``line``; its joint
-    points in the direction ``toward``, a unit vector across the line.
-    """
+    """Return the upper bone's direction, for ends ``distance`` apart, (..., 3)."""
     cosine = (upper**2 + distance**2 - lower**2) / (2.0 * upper * distance)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     return np.asarray(cosine[..., None] * line + sine[..., None] * toward)
@@ -292,7 +277,6 @@ def _blend(a: Array, b: Array, weight: Array) -> Array:
 
 
 def _bend(angles: Array) -> Array:
-    """Return the rotation of (flexion, bend to the left, axial rotation) [rad]."""
     turn = multiply(about_x(angles[..., 0]), about_z(-angles[..., 1]))
     return multiply(turn, about_y(angles[..., 2]))
 
@@ -301,8 +285,8 @@ def _collarbone_angles(along: Array) -> tuple[Array, Array]:
     """Return elevation and protraction [rad] of the left collarbone, (...) each.
 
     It follows the unit vector along the left upper arm, thorax frame, (..., 3), after
-    the shoulder rhythm of Inman et al. 1944 (J. Bone Joint Surg. 26); the amounts are a
-    guess that looks right.
+    the shoulder rhythm of Inman et al. 1944 (J. Bone Joint Surg. 26), by guessed
+    amounts.
     """
     elevation = np.arccos(np.minimum(np.maximum(-along[..., 1], -1.0), 1.0)) / np.pi
     lift = np.radians(-7.0 + 32.0 * elevation**1.5)
@@ -312,7 +296,6 @@ def _collarbone_angles(along: Array) -> tuple[Array, Array]:
 
 
 def _collarbone_end(along: Array) -> Array:
-    """Return the unit vector along the left collarbone for an upper arm, (..., 3)."""
     lift, forward = _collarbone_angles(along)
     flat = np.cos(lift)
     parts = (flat * np.cos(forward), np.sin(lift), flat * np.sin(forward))

@@ -165,7 +165,6 @@ _LEGS = ("front", "side", "back", "passe")
 
 
 def _danced(puppet: Puppet, pose: Pose, rng: Rng) -> Pose:
-    """Put the arms in one of the positions; the trunk follows."""
     arms = _PORT_DE_BRAS[int(rng.integers(len(_PORT_DE_BRAS)))]
     first = int(rng.integers(2))
     for side, angles in ((first, arms[0]), (1 - first, arms[1])):
@@ -239,10 +238,7 @@ def _dance_step(puppet: Puppet, pose: Pose, rng: Rng, side: int) -> tuple[Pose, 
 
 
 def _jump(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
-    """Jump on the spot: squat, swing the arms, fly, land softly.
-
-    The time in the air is that of a ballistic flight to the height and back.
-    """
+    """Jump on the spot: squat, swing the arms, fly ballistically, land softly."""
     score, u = Score(base).hold(0.3), rng.uniform
     while score.duration < length:
         high, tuck = u(0.06, 0.35), u(0.0, 0.9)

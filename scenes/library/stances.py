@@ -14,11 +14,8 @@ from .poses import LEFT, RIGHT, Pose, Rng, Score
 from .puppet import Puppet
 
 Script = Callable[[Puppet, Rng, Pose, float], Score]
-"""Function that writes a score for a puppet, starting from a standing pose.
-
-The score lasts at least the given time [s]. Its last movement is complete and ends in
-the pose it started from.
-"""
+"""Function that writes a score of at least a given time [s] for a puppet, which ends,
+after its last complete movement, in the standing pose it started from."""
 
 
 def by_name(*scripts: Script) -> dict[str, Script]:
@@ -112,9 +109,9 @@ _HOLDS = {
 def draw_hold(rng: Rng, *names: str) -> ArmHold:
     """Draw one of the named ways to hold the arms.
 
-    ``stick`` holds an imaginary stick behind the shoulders with the elbows level
-    (``low stick``: low), and ``overhead`` a long one over the head, as in the
-    functional movement screen (Cook et al. 2014, Int. J. Sports Phys. Ther. 9(3)).
+    ``stick`` holds a stick behind the shoulders with the elbows level (``low stick``:
+    low), and ``overhead`` a long one over the head, as in the functional movement
+    screen (Cook et al. 2014, Int. J. Sports Phys. Ther. 9(3)).
     """
     name = names[int(rng.integers(len(names)))]
     if name in ("hips", "folded"):

@@ -5,13 +5,11 @@ CVPR. A body part is the skin around a joint of Kinect v2. ``pipeline/lab/teach_
 trains the trees; this file stores and evaluates them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
 from os import PathLike
-from typing import IO
+from typing import IO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +31,9 @@ def depth_differences(
     """Return depth differences [m] around pixels (Shotton et al., eq. 1), (N,).
 
     For a pixel x of depth d(x), the difference is that between the pixels at
-    x + u / d(x) and x + v / d(x). The division makes a feature refer to the same place
-    on the body at any distance. ``offsets`` (N, 2, 2) are u and v of each pixel
-    [m across the view], each as row and column.
+    x + u / d(x) and x + v / d(x), the same places on the body at any distance.
+    ``offsets`` (N, 2, 2) are u and v of each pixel [m across the view], each as row and
+    column.
     """
     depth = np.pad(image.depth.astype(np.float32), 1, constant_values=BACKGROUND)
     scale = np.float32(image.focal) / depth[rows + 1, columns + 1]
@@ -51,30 +49,18 @@ def depth_differences(
 
 @dataclass(frozen=True, eq=False)
 class BodyPartForest:
-    """A random forest that classifies pixels by body part, as flat arrays.
+    """A forest that classifies pixels by body part, its nodes numbered across trees."""
 
-    Nodes and leaves are numbered consecutively over all trees.
-    """
-
-    offsets: Singles
-    """u and v of each feature [m across the view], (F, 2, 2)."""
-    roots: NDArray[np.int32]
-    """Root node of each tree, (T,)."""
-    feature: NDArray[np.int16]
-    """Feature that each node tests, -1 for a leaf, (N,)."""
-    threshold: Singles
-    """Largest difference [m] for which a node continues to the left, (N,)."""
-    children: NDArray[np.int32]
-    """Left and right child of each node; for a leaf, its row in ``leaves`` twice,
-    (N, 2)."""
-    leaves: Codes
-    """Share of each body part in a leaf, scaled to 0..255, (L, P)."""
+    offsets: Singles  # u and v of each feature [m across the view], (F, 2, 2)
+    roots: NDArray[np.int32]  # root node of each tree, (T,)
+    feature: NDArray[np.int16]  # feature that each node tests, -1 for a leaf, (N,)
+    threshold: Singles  # largest difference [m] for going on to the left, (N,)
+    children: NDArray[np.int32]  # left and right; for a leaf, its row twice, (N, 2)
+    leaves: Codes  # share of each body part in a leaf, scaled to 0..255, (L, P)
     push: Singles
     """Depth of a joint behind the skin, along the ray [m], for the joints of Kinect v1
     and v2, by the body part of the same name, (2, P)."""
-    least: Singles
-    """Smallest visible area of skin [m^2] around such a joint for it to be tracked,
-    (2, P)."""
+    least: Singles  # least visible skin [m^2] for it to be tracked, (2, P)
 
     def shares(self, image: DepthImage, rows: Indices, columns: Indices) -> Array:
         """Return the probability of each body part at pixels, (N, P)."""
@@ -97,7 +83,7 @@ class BodyPartForest:
         np.savez_compressed(file, **vars(self))
 
     @classmethod
-    def load(cls, file: str | PathLike[str] | IO[bytes]) -> BodyPartForest:
+    def load(cls, file: str | PathLike[str] | IO[bytes]) -> Self:
         """Read a file written by ``save``."""
         with np.load(file, allow_pickle=False) as arrays:
             return cls(**{f.name: arrays[f.name] for f in fields(cls)})
@@ -112,11 +98,7 @@ def shipped_forest() -> BodyPartForest:
 
 
 def parts_of_joints(skeleton: Skeleton) -> Flags:
-    """Return which body parts belong to each joint of a skeleton, (P, J).
-
-    The parts of the neck, thumbs and hand tips belong to their neighbors in Kinect v1,
-    which lacks these joints.
-    """
+    """Return which body parts belong to each joint or the one beside it, (P, J)."""
     joints = skeleton.joints
     belongs = np.zeros((len(BODY_PARTS), len(joints)), dtype=bool)
     for p, name in enumerate(KINECT_V2.joints):

@@ -1,11 +1,8 @@
 """The depth image that a Kinect takes of a person, and the joint each pixel shows.
 
-A MuJoCo ray goes through every second pixel of every second row, which amounts to
-rendering but needs no OpenGL. Everything except the person is removed from the image,
-as Kinect's trackers do before they search for joints.
+A MuJoCo ray goes through every second pixel of every second row, which needs no OpenGL.
+Everything except the person is removed, as Kinect's trackers do.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,11 +66,7 @@ class DepthCamera:
     def take(
         self, positions: Array, rotations: Array, props: Sequence[Array] = ()
     ) -> DepthImage:
-        """Return the noiseless image of a posture.
-
-        ``positions`` (J, 3), ``rotations`` (J, 4) and ``props``, each (7,), are one
-        frame of those of ``PosedBody.cast``.
-        """
+        """Return the noiseless image of one frame of ``PosedBody.cast``."""
         empty = np.full(self._shape, BACKGROUND)
         image = DepthImage(empty, np.full(self._shape, -1), self._focal)
         rows, columns = self._box(in_sensor_frame(positions, self.sensor))
@@ -96,7 +89,6 @@ class DepthCamera:
         return image
 
     def _box(self, joints: Array) -> tuple[Indices, Indices]:
-        """Return rows and columns (N,) of the pixels around joints [m]."""
         x, y, z = joints[joints[:, 2] > self.sensor.depth_range[0]].T
         spans = []
         for place, count in zip((-y, -x), self._shape, strict=True):
@@ -110,11 +102,7 @@ class DepthCamera:
 
 
 def with_noise(image: DepthImage, sensor: Sensor, rng: Generator) -> DepthImage:
-    """Return an image with a Kinect's noise, depth resolution and missing edges.
-
-    An eighth of a pixel of disparity is 2.7 mm times the squared depth in meters
-    (Khoshelham & Elberink 2012, Sensors 12(2)).
-    """
+    """Return an image with a Kinect's noise and edges (Khoshelham & Elberink 2012)."""
     depth = image.depth
     edge = maximum_filter(depth, footprint=_CROSS) - depth > _EDGE
     edge |= depth - minimum_filter(depth, footprint=_CROSS) > _EDGE
@@ -132,9 +120,8 @@ def nearest_joints(
 
     This is the nearest of the joints seen on the point's segment: its two ends or, on
     the trunk, all joints of the trunk. The middle of a limb's segment belongs to none,
-    as a joint's skin extends equally far in both directions, whatever the lengths of
-    the two segments. Points on the skin (N, 3) and joint positions (J, 3) are in the
-    same frame [m]; ``segments`` (N,) are the points' segments.
+    as a joint's skin extends equally far in both directions. Points on the skin (N, 3),
+    of ``segments`` (N,), and joint positions (J, 3) are in the same frame [m].
     """
     own = own_parts(body.skeleton)
     distance = np.linalg.norm(points[:, None] - positions, axis=-1)

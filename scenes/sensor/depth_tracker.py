@@ -2,14 +2,10 @@
 
 Shotton et al. 2011, Real-time human pose recognition in parts from single depth images,
 CVPR: a forest classifies pixels by body part (``body_part_forest``), mean shift finds
-where a part's skin is densest, and the joint lies a learned distance behind it. The
-area of skin found around a joint decides its state; a joint that is not found keeps its
-position relative to its parent. Two rules, chosen on s02, s03 and s04 of UI-PRMD, keep
-left and right apart: of several candidates, one near the joint's place in the previous
-image is preferred, and segments do not stretch.
+where a part's skin is densest, and the joint lies a learned distance behind it. Two
+rules, chosen on s02, s03 and s04 of UI-PRMD, keep left and right apart: candidates near
+the joint's place in the previous image are preferred, and segments do not stretch.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -51,9 +47,9 @@ def propose(
     """Locate the skin around each joint by mean shift (Shotton et al., eq. 7).
 
     Every second pixel counts, weighted by its probability and by the area of skin that
-    it shows. Each joint's pixels are represented by a sample of points drawn with that
-    weight. Of several modes, the one with the most skin wins; those near ``before``,
-    the skin in the previous image [m], (J, 3), may have less.
+    it shows; a sample of points drawn with that weight represents each joint's. Of
+    several modes, the one with the most skin wins; those near ``before``, the skin in
+    the previous image [m], (J, 3), may have less.
     """
     rows, columns = np.nonzero(image.segments >= 0)
     kept = (rows + columns) % 2 == 0
@@ -84,7 +80,6 @@ def propose(
 
 
 def _kernel(modes: Array, cloud: Array) -> Array:
-    """Return the Gaussian kernel of modes (J, M, 3) and points (J, N, 3), (J, M, N)."""
     away = np.square(modes).sum(-1)[..., None] + np.square(cloud).sum(-1)[:, None]
     away -= 2.0 * modes @ cloud.swapaxes(1, 2)
     return np.asarray(np.exp(-0.5 * np.maximum(away, 0.0) / _WIDTH**2))
@@ -97,12 +92,7 @@ def track_in_depth(
     scene: mujoco.MjSpec | None,
     prop_poses: Mapping[str, Array],
 ) -> tuple[Array, Codes]:
-    """Find joints in depth images of a motion.
-
-    Returns their positions (T, J, 3) [m] in the sensor frame, NaN if not tracked, and
-    their states (T, J). ``rng`` draws the noise of the images; ``scene`` and
-    ``prop_poses`` are as in ``observe`` and raise the same errors.
-    """
+    """Find joints [m] in the sensor frame, (T, J, 3), and states; see ``observe``."""
     forest, skeleton = shipped_forest(), motion.skeleton
     camera = DepthCamera(PosedBody(motion.body, scene, tuple(prop_poses)), sensor)
     push, least = joint_constants(forest, skeleton)
@@ -137,9 +127,8 @@ def hold_inferred(
     """Return joint positions [m] in which inferred joints stay with their parents.
 
     A joint too far from its parent, compared with the segment's usual length in the
-    take, is taken for another joint and becomes inferred. Joints out of view become
-    not tracked, and NaN. Positions (T, J, 3) are in the sensor frame; the states (T, J)
-    are changed in place.
+    take, becomes inferred. Joints out of view become not tracked, and NaN. Positions
+    (T, J, 3) are in the sensor frame; the states (T, J) are changed in place.
     """
     held = positions.copy()
     parents = np.maximum(skeleton.parents, 0)

@@ -4,8 +4,6 @@ Sensor frame: origin at the sensor, y up, z from the sensor toward the person, x
 sensor's left. A person facing the sensor faces -z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,31 +33,20 @@ _V2_NOISE = DepthNoise(0.0015, -0.0005, 0.0003)
 class Sensor:
     """Placement, optics and clock of one Kinect. The defaults describe a Kinect v2."""
 
-    height: float = 1.0
-    """Height of the sensor above the floor [m]."""
-    distance: float = 2.7
-    """Horizontal distance from the sensor to the origin of the motion's world [m]."""
-    azimuth: float = 0.0
-    """Angle [rad] by which the performer is turned left from facing the sensor."""
-    tilt: float = 0.0
-    """Pitch of the sensor, positive upward [rad]."""
+    height: float = 1.0  # height of the sensor above the floor [m]
+    distance: float = 2.7  # from the sensor to the world's origin, on the floor [m]
+    azimuth: float = 0.0  # of the performer to the left, 0 facing the sensor [rad]
+    tilt: float = 0.0  # pitch of the sensor, positive upward [rad]
     field_of_view: tuple[float, float] = (np.radians(70.6), np.radians(60.0))
     """Horizontal and vertical angle of view [rad]."""
-    resolution: tuple[int, int] = (512, 424)
-    """Number of columns and rows of the depth image."""
-    depth_range: tuple[float, float] = (0.5, 4.5)
-    """Smallest and largest measurable depth [m]."""
+    resolution: tuple[int, int] = (512, 424)  # columns and rows of the depth image
+    depth_range: tuple[float, float] = (0.5, 4.5)  # smallest and largest [m]
     depth_noise: DepthNoise = _V2_NOISE
     """Noise of a pixel's depth, by default at normal incidence (Fankhauser et al. 2015,
     Kinect v2 for mobile robot navigation)."""
-    structured_light: bool = False
-    """True if depth comes from disparity in steps of 1/8 pixel, False if it comes from
-    the time of flight in steps of 1 mm."""
-    dropped_share: float = 0.014
-    """Share of frames that never arrive, in [0, 1]. In labanotation takes, 0.5 to 2.9 %
-    of steps are two frames long (tests/calibrate_kinect.py)."""
-    stamp_jitter: float = 0.0003
-    """Standard deviation of the time stamps [s], from labanotation takes."""
+    structured_light: bool = False  # depth in steps of 1/8 pixel, not of 1 mm
+    dropped_share: float = 0.014  # of frames; in labanotation takes 0.5 to 2.9 %
+    stamp_jitter: float = 0.0003  # deviation [s], from labanotation takes
 
     def pixels(self, depth: Array) -> Array:
         """Return the pixel density [1/m^2] on a plane across the view at depths [m]."""
@@ -94,10 +81,8 @@ SENSORS = {
 }
 """Kinect models, with geometry from their data sheets.
 
-The depth noise of v1 is that of triangulation, 1.43 mm times the squared depth in
-meters (Khoshelham & Elberink 2012, Sensors 12(2)). That of azure (narrow field of
-view) is a guess, 1 to 2 mm within its range. The sensor does not determine the
-skeleton of a take: that is the motion's.
+The depth noise of v1 is that of triangulation (Khoshelham & Elberink 2012, Sensors
+12(2)); that of azure is a guess, 1 to 2 mm within its range.
 """
 
 

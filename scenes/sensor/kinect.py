@@ -1,13 +1,10 @@
 """The virtual Kinect, which records simulated takes of a motion.
 
-It has two trackers. ``model`` adds errors fitted to recordings to the ground truth: ray
-casting determines how much of each joint the sensor sees (``visibility``), and from
-that follow the errors of position (``tracker_errors``) and the tracking states
-(``tracker_states``). ``depth`` finds joints in rendered depth images
-(``depth_tracker``), so its errors arise as those of a real tracker do.
+Its tracker ``model`` adds errors fitted to recordings to the ground truth: ray casting
+determines how much of each joint the sensor sees (``visibility``), and from that follow
+the errors of position (``tracker_errors``) and the states (``tracker_states``).
+``depth`` finds joints in rendered depth images (``depth_tracker``).
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,8 +24,6 @@ from .tracker_states import swapped_joints, tracking_states, with_guesses
 from .visibility import look
 
 Tracker = Literal["model", "depth"]
-"""Joint finder: ``model`` adds modeled errors to the ground truth, ``depth`` searches
-depth images."""
 
 
 def observe(
@@ -44,24 +39,15 @@ def observe(
 ) -> Take:
     """Return a take of a motion as a Kinect might have recorded it.
 
-    Positions [m] are in the sensor frame, NaN for joints that are not tracked.
-
-    Args:
-        motion: The motion in front of the sensor.
-        seed: Seed of all errors; the same seed gives the same take.
-        sensor: The sensor; by default a Kinect v2, 1 m high and 2.7 m away.
-        errors: Sizes of the tracker's errors, by default as in recordings. Only for
-            the tracker ``model``.
-        scene: The room and its props, z up as in MuJoCo; by default a bare floor.
-        prop_poses: For each moving body of the scene, its position [m] and orientation
-            (wxyz) in every frame, in MuJoCo's world, shape (T, 7).
-        person: Seed of the errors that all takes of a person share; by default
-            ``seed``. Only for the tracker ``model``; ``depth`` has no such errors.
-        tracker: How joints are found.
-
-    Raises:
-        InputError: The tracker is unknown, a moving prop is not a direct child of the
-            scene's worldbody, or its poses do not fit the motion.
+    Positions [m] are in the sensor frame, NaN for joints that are not tracked. The seed
+    determines all errors. The sensor is by default a Kinect v2, 1 m high and 2.7 m
+    away, and the scene, z up as in MuJoCo, a bare floor. ``prop_poses`` are the
+    positions [m] and orientations (wxyz) of its moving bodies in every frame, in
+    MuJoCo's world, (T, 7). Only for the tracker ``model``, ``errors`` are the sizes of
+    errors, by default as in recordings, and ``person`` is the seed of those that all
+    takes of a person share, by default ``seed``. Raises an InputError if the tracker is
+    unknown, a moving prop is not a direct child of the scene's worldbody, or its poses
+    do not fit the motion.
     """
     check_choice(tracker, get_args(Tracker), "tracker")
     sensor, errors = sensor or Sensor(), errors or TrackerErrors()
@@ -76,9 +62,7 @@ def observe(
     else:
         identity = np.random.default_rng([seed if person is None else person, 1])
         sight = look(motion, sensor, scene=scene, prop_poses=props)
-        placed = with_position_errors(
-            motion, sight, sensor, errors, rng=rng, person=identity
-        )
+        placed = with_position_errors(motion, sight, sensor, errors, rng, identity)
         in_view = sensor.in_view(in_sensor_frame(motion.positions, sensor))
         in_view &= in_view[:, [motion.skeleton.root]]
         state = tracking_states(motion, sight, in_view, errors, rng)
@@ -96,11 +80,7 @@ def observe(
 
 
 def sample_take() -> Take:
-    """Simulate the shipped sample ``takes/wave_punch_bend.csv``.
-
-    A person turned halfway to the side waves, punches and bends in front of a Kinect
-    v1; the hand leaves the view while waving.
-    """
+    """Simulate the shipped sample: someone aside waves out of view, punches, bends."""
     parts = [("wave", 0.5), ("punch", 2.0), ("bend", 0.5)]
     motion = perform_medley(parts, standard_body(KINECT_V1), seed=17)
     sensor = replace(SENSORS["v1"], height=0.8, distance=2.5, azimuth=0.8)

@@ -1,10 +1,7 @@
 """A body in a scene, posed frame by frame, and rays cast into it from a sensor.
 
-Each segment is a MuJoCo mocap body with the segment's capsules, placed where the motion
-has it. MuJoCo casts the rays.
+Each segment is a MuJoCo mocap body with the segment's capsules.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 
@@ -24,15 +21,9 @@ _PREFIX = "seen:"  # keeps the names of segments apart from those of the scene
 
 
 class PosedBody:
-    """A body in a scene, which rays can be cast into.
+    """A body in a scene, z up as in MuJoCo, by default a bare floor, with moving props.
 
-    Args:
-        body: The body whose segments are placed.
-        scene: The room and its props, z up as in MuJoCo; by default a bare floor.
-        moving: Names of the props that move.
-
-    Raises:
-        InputError: A moving prop is not a direct child of the scene's worldbody.
+    Raises an InputError if a moving prop is not a direct child of the worldbody.
     """
 
     def __init__(
@@ -61,12 +52,8 @@ class PosedBody:
     ) -> tuple[Array, NDArray[np.int32]]:
         """Return each ray's length [m] and the geom it hits, -1 for none, (T, N).
 
-        Args:
-            positions: Joint positions [m], in the motion's world, (T, J, 3).
-            rotations: Segment rotations, likewise, (T, J, 4).
-            props: Poses of the moving props, in MuJoCo's world, each (T, 7).
-            eye: Origin of the rays [m], in the motion's world, (3,).
-            rays: Unit vectors, likewise, (T, N, 3).
+        Joints [m] (T, J, 3), segment rotations (T, J, 4), the rays' origin [m] (3,) and
+        unit vectors (T, N, 3) are in the motion's world, props (T, 7) in MuJoCo's.
         """
         frames, count = rays.shape[:2]
         skeleton = self.body.skeleton
@@ -80,22 +67,19 @@ class PosedBody:
         reach = np.empty((frames, count))
         geoms = np.empty((frames, count), dtype=np.int32)
         model, data = self.model, self.data
-        every_geom = (None, True, -1)  # of all groups, static ones too, of all bodies
+        every = (None, True, -1)  # of all groups, static ones too, of all bodies
         for t in range(frames):
             data.mocap_pos[self._slots] = place[t]
             data.mocap_quat[self._slots] = turn[t]
             mujoco.mj_kinematics(model, data)
             hits = (geoms[t], reach[t], None)  # without normals
-            mujoco.mj_multiRay(
-                model, data, eye, beams[t], *every_geom, *hits, count, _FAR
-            )
+            mujoco.mj_multiRay(model, data, eye, beams[t], *every, *hits, count, _FAR)
         return reach, geoms
 
 
 def _with_body(
     scene: mujoco.MjSpec | None, body: Body, moving: Sequence[str]
 ) -> mujoco.MjSpec:
-    """Return the scene with moving props and segments as mocap bodies."""
     if scene is None:
         spec = mujoco.MjSpec()
         floor = mujoco.mjtGeom.mjGEOM_PLANE

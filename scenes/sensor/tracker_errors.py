@@ -1,19 +1,14 @@
 """Position errors of the modeled tracker.
 
-Each error has a cause: the tracker's own definition of joints, surfaces that are partly
-hidden or foreshortened, postures the tracker was not trained on, its wobble, motion
-during the exposure, noise of the depth image, props taken for limbs, and people seen
-from the side.
+They come from the tracker's own definition of joints, surfaces that are partly hidden
+or foreshortened, unfamiliar postures, its wobble, motion during the exposure, noise of
+the depth image, props taken for limbs, and people seen from the side.
 
-A tracker's joints are not the anatomical joint centers. Their offset from these turns
-with the segments that meet at the joint, so each constant offset has two parts, one
-fixed to the segment that ends at the joint and one to the segment that starts there.
-The numbers were fitted by ``tests/calibrate_kinect.py`` to a Kinect v2 beside marker
-mocap (UI-PRMD, Vakanski et al. 2018, Data 3(1)), people s02, s03 and s04, with left and
-right pooled.
+Each constant offset of its joints has one part that turns with the segment that ends at
+the joint and one with the segment that starts there. ``tests/calibrate_kinect.py``
+fitted them to a Kinect v2 beside marker mocap (UI-PRMD, Vakanski et al. 2018, Data
+3(1)), people s02, s03 and s04, with left and right pooled.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -71,80 +66,43 @@ class TrackerErrors:
     """Sizes of the modeled tracker's errors.
 
     With all values zero except ``mirrored_beyond``, which is then pi, the tracker
-    reports the ground truth. The defaults were set by hand so that the figures of
-    ``tests/calibrate_kinect.py`` come close to those of recordings, unless called a
-    guess.
+    reports the ground truth. The defaults were set by hand toward the figures of
+    ``tests/calibrate_kinect.py`` for recordings, unless called a guess.
     """
 
-    bias: float = 1.0
-    """Factor on the tracker's own joint offsets (``joint_offsets``), 1 as recorded."""
-    bias_spread: float = 0.011
-    """Standard deviation of these offsets between people, per segment and axis [m]."""
-    pull: float = 0.5
-    """Share of the way that a joint moves toward the center of the visible surface of
-    its part. A guess."""
+    bias: float = 1.0  # factor on ``joint_offsets``, 1 as recorded
+    bias_spread: float = 0.011  # deviation of these between people, per axis [m]
+    pull: float = 0.5  # share of the way to the visible surface's center; a guess
     foreshortening: float = 0.1
     """Share of the way that a joint moves toward the surface of a limb that points at
     the sensor. Recordings give -0.3 to 0.3 depending on the joint, no clearer value."""
-    posture_error: float = 0.015
-    """Standard deviation per axis of the mean joint's error that recurs with the
-    posture [m], as the tracker was not trained on this person in this posture."""
-    posture_scale: float = 0.8
-    """Change of posture over which that error decorrelates: root of the summed squares
-    over the directions of all segments."""
-    wobble: float = 0.047
-    """Standard deviation per axis of the mean joint's wobble in fast motion [m]."""
-    calm: float = 0.12
-    """Share of this wobble that remains when the joint is still."""
-    stirring_speed: float = 0.5
-    """Speed of a joint at which half of the other share appears [m/s]."""
-    wobble_time: float = 0.17
-    """Time constant of the wobble's autocorrelation [s]."""
-    burst: float = 1.5
-    """Standard deviation over time of the natural logarithm of the wobble's strength:
-    most frames are calm, some jump."""
-    burst_time: float = 0.15
-    """Time constant of that strength [s]."""
-    hidden_wobble: float = 2.0
-    """Increase of the wobble of a fully hidden joint, as a multiple of the wobble."""
-    blur: float = 0.004
-    """Mean and standard deviation of a measurement's lag behind its time stamp [s]."""
-    grain: float = 5.0
-    """Number of neighboring pixels that share one depth error."""
+    posture_error: float = 0.015  # deviation per axis that recurs with a posture [m]
+    posture_scale: float = 0.8  # change of directions that decorrelates it, norm
+    wobble: float = 0.047  # deviation of the mean joint in fast motion, per axis [m]
+    calm: float = 0.12  # share of this wobble that remains when the joint is still
+    stirring_speed: float = 0.5  # m/s, at which half of the rest appears
+    wobble_time: float = 0.17  # time constant of the wobble's autocorrelation [s]
+    burst: float = 1.5  # deviation over time of the logarithm of its strength
+    burst_time: float = 0.15  # time constant of that strength [s]
+    hidden_wobble: float = 2.0  # increase for a hidden joint, times the wobble
+    blur: float = 0.004  # mean and deviation of lags behind time stamps [s]
+    grain: float = 5.0  # number of neighboring pixels that share one depth error
     trunk_turn: float = 0.41
     """How much farther people have turned than Kinect v2 shows hips, shoulders and the
     foot behind the body, as a share of the angle shown beyond ``_TURNED``. From
     people in front of two sensors (``turn_share_`` of the learned correction)."""
-    prop: float = 0.5
-    """Share of the way that a joint moves toward the surface of a prop that fills all
-    its surroundings. A guess."""
-    doubt: float = 0.12
-    """Standard deviation of the tracker's error in the visible share of a part."""
-    doubt_time: float = 0.3
-    """Time constant of that error [s]."""
-    trust: float = 0.0
-    """Extra visible share that a joint needs to be tracked (``tracker_states``)."""
-    merging: float = 0.2
-    """Visible share lost when all surroundings are at the part's own depth."""
-    fast: float = 0.08
-    """Visible share lost to motion blur, per speed relative to the root [s/m]."""
-    guess: float = 1.0
-    """Share of the way that a fully hidden joint moves from the measurement to the
-    tracker's guess."""
-    guess_time: float = 0.8
-    """Time constant with which a guess drifts from where the joint was last tracked,
-    relative to its parent, to its usual position [s]. A guess."""
-    jump: float = 0.04
-    """Standard deviation per axis of the jump at the start of a guess [m]. A guess."""
-    swap_rate: float = 2.0
-    """Rate at which limbs are swapped when those of the other side fill all their
-    surroundings [1/s]. A guess."""
-    swap_time: float = 0.4
-    """Mean duration of a swap [s]. A guess."""
-    mirrored_beyond: float = 2.0
-    """Angle between the person's heading and the direction to the sensor beyond which
-    left and right are swapped [rad]; pi: never. Kinect's trackers assume that people
-    face the sensor."""
+    prop: float = 0.5  # share of the way to props that fill all around; a guess
+    doubt: float = 0.12  # deviation of the tracker's error in the visible share
+    doubt_time: float = 0.3  # time constant of that error [s]
+    trust: float = 0.0  # extra visible share that a joint needs to be tracked
+    merging: float = 0.2  # visible share lost among surroundings as deep
+    fast: float = 0.08  # visible share lost to motion blur, per relative speed [s/m]
+    guess: float = 1.0  # share of the way from a hidden joint to its guess
+    guess_time: float = 0.8  # s, for guesses to drift to usual positions; a guess
+    jump: float = 0.04  # deviation of a guess's first jump, per axis [m]; a guess
+    swap_rate: float = 2.0  # 1/s, among limbs of the other side alone; a guess
+    swap_time: float = 0.4  # s, mean duration of a swap; a guess
+    mirrored_beyond: float = 2.0  # rad off the sensor from which sides swap; pi: never
 
 
 def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
@@ -152,11 +110,7 @@ def _table(skeleton: Skeleton) -> list[tuple[_Offset, _Offset, float, float]]:
 
 
 def joint_offsets(skeleton: Skeleton) -> Array:
-    """Return the tracker's constant offsets [m] in segment frames, shape (2, J, 3).
-
-    The first part turns with the segment that ends at the joint, the second with the
-    segment that starts there. The axes are those of the rest pose, facing +z.
-    """
+    """Return constant offsets [m], before and after the joint, at rest, (2, J, 3)."""
     table = np.array([row[:2] for row in _table(skeleton)])
     table[[j.endswith("Right") for j in skeleton.joints], :, 0] *= -1.0
     return np.asarray(0.01 * table.swapaxes(0, 1))
@@ -168,10 +122,7 @@ def error_scales(skeleton: Skeleton) -> Array:
 
 
 def error_mixing(skeleton: Skeleton) -> Array:
-    """Return the matrix (J, J) that correlates independent errors with their parents'.
-
-    It preserves unit variance.
-    """
+    """Return the matrix (J, J) that correlates unit errors with their parents'."""
     mixing, table = np.eye(len(skeleton)), _table(skeleton)
     for j in skeleton.segments:
         correlation = table[j][3]
@@ -185,7 +136,6 @@ def with_position_errors(
     sight: Sight,
     sensor: Sensor,
     errors: TrackerErrors,
-    *,
     rng: Generator,
     person: Generator,
 ) -> Array:
@@ -217,7 +167,6 @@ def with_position_errors(
 
 
 def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
-    """Offsets due to the tracker's definition of joints [m], (T, J, 3)."""
     skeleton = motion.skeleton
     offsets = joint_offsets(skeleton)
     own = error_mixing(skeleton) @ person.normal(size=offsets.shape)
@@ -231,10 +180,7 @@ def _bias(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
 def _turned_toward(
     placed: Array, motion: Motion, sensor: Sensor, errors: TrackerErrors
 ) -> Array:
-    """Return the joints (T, J, 3) with the trunk turned toward a Kinect v2.
-
-    Other sensors have not been measured.
-    """
+    """Return the joints (T, J, 3) with the trunk turned toward a Kinect v2."""
     skeleton, root = motion.skeleton, motion.skeleton.root
     if skeleton != KINECT_V2:
         return placed
@@ -246,12 +192,10 @@ def _turned_toward(
     turn = np.maximum(angle - _TURNED, 0.0) * (1.0 - 1.0 / (1.0 + errors.trunk_turn))
     turn *= np.sign(across) * np.sign(ahead)
     turn *= np.minimum((np.pi / 2.0 - angle) / _SIDE_ON, 1.0)
-    turned = placed.copy()
+    turned, around = placed.copy(), about_y(turn)[:, None]
     for pair in (list(skeleton.sides("Shoulder")), list(skeleton.sides("Hip"))):
         middle = placed[:, pair].mean(axis=1, keepdims=True)
-        turned[:, pair] = middle + rotate(
-            about_y(turn)[:, None], placed[:, pair] - middle
-        )
+        turned[:, pair] = middle + rotate(around, placed[:, pair] - middle)
     for foot, side in zip(skeleton.sides("Foot"), (1.0, -1.0), strict=True):
         ankle = placed[:, skeleton.parents[foot]]
         far = about_y(np.where(side * across < 0.0, turn, 0.0))
@@ -262,10 +206,10 @@ def _turned_toward(
 def _posture_error(motion: Motion, errors: TrackerErrors, person: Generator) -> Array:
     """A smooth random function of the posture, unit variance, (T, J, 3).
 
-    It is drawn from a Gaussian process with a Gaussian kernel, as a sum of random
-    cosines of segment directions (Rahimi & Recht 2007). In the joints of a limb it
-    depends on trunk and limb, in all others on the trunk. Directions are in the world
-    frame, as a turned person is another posture to the sensor.
+    It is drawn from a Gaussian process as a sum of random cosines of segment directions
+    (Rahimi & Recht 2007) in the world frame, because a turned person is another posture
+    to the sensor. In the joints of a limb it depends on trunk and limb, in all others
+    on the trunk.
     """
     skeleton = motion.skeleton
     parents = np.maximum(skeleton.parents, 0)
@@ -325,10 +269,7 @@ def velocities(positions: Array, fps: float) -> Array:
 
 
 def slow_noise(shape: tuple[int, ...], steps: float, rng: Generator) -> Array:
-    """Return noise of unit variance with a time constant of ``steps`` frames.
-
-    A first-order autoregressive process along axis 0, started in its steady state.
-    """
+    """Return autoregressive unit noise of a time constant of ``steps`` frames."""
     kept = np.exp(-1.0 / max(steps, 1e-6))
     pushes = np.sqrt(1.0 - kept**2) * rng.normal(size=shape)
     pushes[0] /= np.sqrt(1.0 - kept**2)

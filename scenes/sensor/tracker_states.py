@@ -1,7 +1,5 @@
 """Tracking states of the modeled tracker, guesses of hidden joints, swapped limbs."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.random import Generator
 
@@ -14,19 +12,9 @@ from .geometry import Sensor, in_world_frame
 from .tracker_errors import TrackerErrors, slow_noise, velocities
 from .visibility import Sight
 
-_NEEDED = {
-    "Head": 0.0,
-    "Shoulder": -0.2,
-    "Hip": -0.3,
-    "Elbow": 0.65,
-    "Wrist": 0.82,
-    "Hand": 0.81,
-    "HandTip": 0.2,
-    "Thumb": 0.0,
-    "Knee": 0.2,
-    "Ankle": 0.2,
-    "Foot": 0.2,
-}
+_NEEDED = {"Head": 0.0, "Thumb": 0.0, "Shoulder": -0.2, "Hip": -0.3}
+_NEEDED |= {"Elbow": 0.65, "Wrist": 0.82, "Hand": 0.81}
+_NEEDED |= dict.fromkeys(("HandTip", "Knee", "Ankle", "Foot"), 0.2)
 """Minimum believed visible share of a part for its joint to be tracked, set by hand so
 that each kind of joint is inferred as often as in recordings of free movement."""
 _NEEDED_OF_TRUNK = -0.3  # the tracker always finds some of it
@@ -37,7 +25,6 @@ _FLICKER = 0.1  # of the doubt's variance, independent from frame to frame
 
 
 def _limbs(skeleton: Skeleton) -> list[list[int]]:
-    """Joints of left arm, right arm, left leg, right leg that may be swapped."""
     return [
         [skeleton.index(s + side) for s in stems if s + side in skeleton.joints]
         for stems in (_ARM, _LEG)
@@ -48,11 +35,7 @@ def _limbs(skeleton: Skeleton) -> list[list[int]]:
 def tracking_states(
     motion: Motion, sight: Sight, in_view: Flags, errors: TrackerErrors, rng: Generator
 ) -> Codes:
-    """Return the tracking states (T, J).
-
-    A joint is tracked while the visible share of its part, as the tracker believes it
-    to be, exceeds a threshold. Joints out of view are not tracked.
-    """
+    """Return states (T, J), tracked where enough of a part is believed visible."""
     skeleton, shape = motion.skeleton, sight.visible.shape
     steps = errors.doubt_time * motion.fps
     slow = slow_noise(shape, steps, rng)
@@ -80,15 +63,17 @@ def with_guesses(
 ) -> Array:
     """Return positions [m] with inferred joints moved toward the tracker's guesses.
 
-    A guess starts with a jump from where the joint was last tracked, relative to its
-    parent, and drifts to the joint's usual position in a standing person. Its weight is
-    the hidden share of the part.
+    A guess jumps from where the joint was last tracked, relative to its parent, and
+    drifts to its usual position in a standing person. Its weight is the hidden share.
     """
     skeleton = motion.skeleton
     frame = np.arange(len(state))
     jumps = errors.jump * rng.normal(size=placed.shape)
     positions = placed.copy()
-    usual = _usual_offsets(motion)
+    arm, body = np.isin(skeleton.kinds, _ARM), motion.body
+    usual = body.rest_offsets.copy()  # joints relative to their parents, arms down
+    usual[arm] = body.lengths[arm, None] * [0.0, -1.0, 0.0]
+    usual = rotate(motion.rotations[:, skeleton.root, None], usual)
     for j, parent in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         tracked = state[:, j] == State.TRACKED
         last = np.maximum.accumulate(np.where(tracked, frame, -1))
@@ -103,22 +88,12 @@ def with_guesses(
 
 
 def _between(start: Array, end: Array, share: Array) -> Array:
-    """Interpolate vectors (T, 3), both in direction and in length."""
     share = share[:, None]
     lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (start, end)]
     length = lengths[0] + share * (lengths[1] - lengths[0])
     mixed = start + share * (end - start)
     norm = np.linalg.norm(mixed, axis=-1, keepdims=True)
     return np.asarray(mixed * length / np.maximum(norm, 1e-6))
-
-
-def _usual_offsets(motion: Motion) -> Array:
-    """Joints relative to their parents in a person who stands, arms down [m]."""
-    body = motion.body
-    usual = body.rest_offsets.copy()
-    arm = np.isin(body.skeleton.kinds, _ARM)
-    usual[arm] = body.lengths[arm, None] * [0.0, -1.0, 0.0]
-    return rotate(motion.rotations[:, body.skeleton.root, None], usual)
 
 
 def swapped_joints(

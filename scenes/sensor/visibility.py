@@ -1,12 +1,9 @@
 """How much of each joint a sensor sees past the body itself, props and the room.
 
-From the sensor, rays go to the surroundings of every joint: a disk across the line of
-sight, filled by the part's own capsule, and a ring around it. Whatever a ray of the
-disk hits before the part hides the part; whatever a ray of the ring hits at the part's
-depth cannot be told apart from it in a depth image.
+Rays go to a disk across the line of sight to every joint, filled by the part's own
+capsule, and to a ring around it. Whatever a ray of the disk hits before the part hides
+the part; whatever a ray of the ring hits at the part's depth cannot be told apart.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -35,23 +32,15 @@ _CHUNK = 1024  # frames, to bound the memory for long takes
 class Sight:
     """How much of each joint a sensor sees; vectors are in the motion's world."""
 
-    visible: Array
-    """Share of the part that nothing hides, in [0, 1], shape (T, J)."""
-    pull: Array
-    """Vector from the center of the part's surface to the center of its visible surface
-    [m], zero if all or nothing is visible, shape (T, J, 3)."""
+    visible: Array  # share of the part that nothing hides, in [0, 1], shape (T, J)
+    pull: Array  # from the part's to its visible surface's center [m], (T, J, 3)
     front: Array
     """How much nearer to the sensor the visible surface is than the joint's own radius
     implies [m], large for a limb that points at the sensor, shape (T, J)."""
-    merged: Array
-    """Share of the surroundings at the part's own depth, in [0, 1], shape (T, J)."""
-    rival: Array
-    """Share of disk and ring filled by the same part of the other side, (T, J)."""
-    prop: Array
-    """Share of disk and ring filled by props about as near as the part, (T, J)."""
-    prop_pull: Array
-    """Vector from the part's surface to the center of those props' surfaces [m], shape
-    (T, J, 3)."""
+    merged: Array  # share of the surroundings at the part's depth, (T, J)
+    rival: Array  # share of rays that hit the other side's same part, (T, J)
+    prop: Array  # share of rays that hit props about as near as the part, (T, J)
+    prop_pull: Array  # vector to those props' surfaces [m], (T, J, 3)
 
 
 def look(
@@ -61,10 +50,7 @@ def look(
     scene: mujoco.MjSpec | None = None,
     prop_poses: Mapping[str, Array] | None = None,
 ) -> Sight:
-    """Return how much of each joint of a motion a sensor sees.
-
-    ``scene`` and ``prop_poses`` are those of ``observe``, and so are errors in them.
-    """
+    """Return how much of each joint a sensor sees; for the rest see ``observe``."""
     props = prop_poses or {}
     scanner = _Scanner(PosedBody(motion.body, scene, tuple(props)), sensor)
     moving = props.values()
@@ -72,9 +58,8 @@ def look(
         scanner.scan(motion.positions[c], motion.rotations[c], [p[c] for p in moving])
         for c in chunks(len(motion), _CHUNK)
     ]
-    return Sight(
-        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Sight))
-    )
+    names = [field.name for field in fields(Sight)]
+    return Sight(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
 def rest_front(body: Body, sensor: Sensor) -> Array:
@@ -125,9 +110,8 @@ class _Scanner:
         up = np.cross(line, right)
         pattern = _pattern()
         radii = self.radii[:, None]
-        scale = np.repeat(
-            np.hstack([_DISK * radii, radii + _RING]), [_DISK_RAYS, _RING_RAYS], axis=1
-        )
+        sizes = np.hstack([_DISK * radii, radii + _RING])
+        scale = np.repeat(sizes, [_DISK_RAYS, _RING_RAYS], axis=1)
         disk = scale[:, :_DISK_RAYS] * np.linalg.norm(pattern[:_DISK_RAYS], axis=1)
         bulge = np.pad(np.sqrt(radii**2 - disk**2), ((0, 0), (0, _RING_RAYS)))
         x, y = scale * pattern[:, 0], scale * pattern[:, 1]
@@ -174,7 +158,6 @@ def _mean_where(values: Array, mask: Flags) -> Array:
 
 
 def _pattern() -> Array:
-    """Points that fill the unit disk evenly (Vogel 1979), then a unit circle."""
     k = np.arange(_DISK_RAYS)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * k
     radius = np.sqrt((k + 0.5) / _DISK_RAYS)
@@ -186,11 +169,7 @@ def _pattern() -> Array:
 
 
 def own_parts(skeleton: Skeleton) -> Flags:
-    """Return which segments show each joint, shape (joint J, segment J).
-
-    These are the segments that meet at the joint; for a joint of the trunk, all of the
-    trunk's.
-    """
+    """Return which segments meet at each joint, or form its trunk, (J, J)."""
     own = np.eye(len(skeleton), dtype=bool)
     for j, children in enumerate(skeleton.children):
         own[j, list(children)] = True

@@ -81,18 +81,15 @@ class Pair:
             check_output(path, *self.files, suffix=suffix)
         if self.picture is not None:
             check_drawing()
-        marker_set = None if self.markers is None else read_marker_set(self.markers)
-        recordings = [
+        table = None if self.markers is None else read_marker_set(self.markers)
+        pairs = [
             (read_take(take), read_mocap(mocap))
             for take, mocap in zip(self.files[::2], self.files[1::2], strict=True)
         ]
         with progress_bars() as progress:
+            subject = self.subject or self.out.stem
             pairings, refused = pair_session(
-                recordings,
-                subject=self.subject or self.out.stem,
-                table=marker_set,
-                least=self.least,
-                progress=progress,
+                pairs, subject=subject, table=table, least=self.least, progress=progress
             )
         write_pairs([p.pair for p in pairings], self.out)
         if self.picture is not None:

@@ -126,20 +126,17 @@ class Evaluate:
         """Measure and print a table."""
         files = (*self.pairs, *self.views, *self.train, *self.test)
         check_output(self.json, *files, self.sync, self.database)
-        mode = "evaluate without --hide"
-        if self.views or self.hide:
-            mode = "--views" if self.views else "--hide"
+        mode, measure = "evaluate without --hide", self._methods
+        if self.views:
+            mode, measure = "--views", self._views
+        elif self.hide:
+            mode, measure = "--hide", self._hide
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in _UNUSED[mode] and value != field.default:
                 option = "--" + field.name.replace("_", "-")
                 raise InputError(f"{option} does not apply to {mode}; leave it out")
-        if self.views:
-            figures, table = self._views()
-        elif self.hide:
-            figures, table = self._hide()
-        else:
-            figures, table = self._methods()
+        figures, table = measure()
         write_json(figures, self.json)
         out.print(table)
         return 0

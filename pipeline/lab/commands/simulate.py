@@ -76,12 +76,9 @@ class Simulate:
             paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
             for path in paths:
                 check_output(path, self.truth)
+            sensors, degrees = [self.sensor] * self.sensors, self.degrees
             views = lab.simulate_session(
-                self.scene,
-                motion,
-                sensors=[self.sensor] * self.sensors,
-                degrees=self.degrees,
-                seed=self.seed,
+                self.scene, motion, sensors=sensors, degrees=degrees, seed=self.seed
             )
             pairs = [view.pair for view in views]
         else:

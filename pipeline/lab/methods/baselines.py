@@ -25,8 +25,8 @@ class FullGP(FusedOffsets):
     """Adds to each joint the offset predicted by one Gaussian process over all samples.
 
     Zhou, Liu, Leung & Shum 2014, "Posture reconstruction using Kinect with a
-    probabilistic model", VRST: the predecessor that Liu 2016 compares with. By default
-    only the prediction counts, not movement and reliability.
+    probabilistic model", VRST. By default only the prediction counts, not movement and
+    reliability.
     """
 
     samples: int = 2500
@@ -100,11 +100,7 @@ class FullGP(FusedOffsets):
         return offsets, coverage
 
     def _explained(self, gaussian: Array) -> Array:
-        """Return a lower bound on the share of theta0 that the samples explain, (M,).
-
-        It comes from the nearest samples, relative to what a sample explains of itself,
-        so that it is 1 at the training data.
-        """
+        """Return a lower bound on the share of theta0 that samples explain, (M,)."""
         count = min(_FOR_VARIANCE, gaussian.shape[1])
         near = np.argpartition(-gaussian, count - 1, axis=1)[:, :count]
         rows = np.take_along_axis(self._rows, near[..., None], axis=1)
@@ -127,8 +123,7 @@ class Exemplar(OffsetCorrector):
     """
 
     samples: int = 10000
-    neighbors: int = 10
-    """Number of postures averaged."""
+    neighbors: int = 10  # number of postures averaged
     width_: Any = field(init=False)
     fitted = ("postures", "offsets", "joints", "seen", "width")
 
@@ -152,7 +147,6 @@ class Exemplar(OffsetCorrector):
         self._squares = np.sum(self._rows * self._rows, axis=1)
 
     def _features(self, postures: Array) -> Array:
-        """Return the positions of the measured joints, shape (N, F)."""
         return postures[:, self.seen_].reshape(len(postures), -1)
 
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:  # noqa: ARG002 - needs the posture only

@@ -13,7 +13,7 @@ from scipy.linalg import cho_solve, cholesky
 from sklearn.cluster import KMeans
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Indices
+from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
 from kinefilter.pipeline.progress import Progress, silent
@@ -34,24 +34,18 @@ _PEOPLE = 800  # examples of true and measured segment lengths
 class ClusteredGP(Learner):
     """Moves joints to where one process over the whole standardized posture puts them.
 
-    By default the process models the difference of mocap and Kinect. Its prior mean is
-    then the measurement, not the origin as in the paper, so that postures far from the
-    training data stay as measured.
+    By default the process models the difference of mocap and Kinect, so that postures
+    far from the training data stay as measured, not at the origin as in the paper.
     """
 
     skeleton: Skeleton = field(kw_only=False)
-    centroids: int = 800
-    """Q, number of clusters of training postures."""
-    smallest_reliability: float = 0.7
-    """Minimum reliability of every joint of a training posture."""
-    predicts: Literal["offsets", "positions"] = "offsets"
-    """What the process models: ``offsets``, or mocap ``positions`` (eq. 5)."""
+    centroids: int = 800  # Q, number of clusters of training postures
+    smallest_reliability: float = 0.7  # of a joint in training
+    predicts: Literal["offsets", "positions"] = "offsets"  # or mocap's (eq. 5)
     lengths: Literal["learned", "own"] = "learned"
-    """Bone lengths after correction: ``learned`` are those that mocap has for people of
-    similar proportions, ``own`` the person's own as Kinect measures them (section
-    2.2)."""
-    seed: int = 0
-    """Seed for drawing the frames and initializing the clusters."""
+    """Bone lengths after correction: those that mocap has for people of similar
+    proportions, or the person's own as Kinect measures them (section 2.2)."""
+    seed: int = 0  # seed for drawing the frames and initializing the clusters
 
     fitted = (
         *("rows", "people", "bones", "weights", "variances", "scales", "noise"),
@@ -65,9 +59,7 @@ class ClusteredGP(Learner):
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
         """Train on pairs in which every joint is reliable."""
         count, least = _POOL * self.centroids, self.smallest_reliability
-        frames = TrainingFrames.draw(
-            training, self.skeleton, count, self.seed, least_reliability=least
-        )
+        frames = TrainingFrames.draw(training, self.skeleton, count, self.seed, least)
         for _ in progress("clusters", 1):
             self.joints_, self.seen_ = frames.joints, frames.measured
             truth = frames.postures.copy()
@@ -82,8 +74,10 @@ class ClusteredGP(Learner):
             # Section 3.3 clusters the mocap; the Kinect data gets the same clusters.
             clusters = KMeans(count, n_init=1, random_state=self.seed)
             labels = clusters.fit_predict(self._features(targets))
-            rows = _cluster_means(self._features(inputs), labels)
-            outputs = _cluster_means(outputs, labels)
+            members = [labels == q for q in np.unique(labels)]
+            inputs = self._features(inputs)
+            rows = np.array([inputs[own].mean(axis=0) for own in members])
+            outputs = np.array([outputs[own].mean(axis=0) for own in members])
         # Single precision, as in a model file, so that saving changes nothing.
         self.rows_ = rows.astype(np.float32)
         for _ in progress("process", 1):
@@ -115,7 +109,6 @@ class ClusteredGP(Learner):
         self._learned = np.isin(np.arange(len(self.skeleton)), self.joints_)
 
     def _features(self, postures: Array) -> Array:
-        """Return the positions of the measured joints, shape (..., F)."""
         points = postures[..., self.seen_, :]
         return np.asarray(points.reshape(*points.shape[:-2], -1))
 
@@ -140,12 +133,7 @@ class ClusteredGP(Learner):
         return Correction(corrected, None, confidence, coverage)
 
     def _lengths(self, seen: Array | None) -> Array:
-        """Return mocap's bone lengths [m] at the scale where Kinect's are standard.
-
-        They are a mean over the examples, weighted by similarity of proportions.
-
-        ``seen`` are the person's own [m], as Kinect measures them, shape (J,).
-        """
+        """Return mocap's bone lengths [m] at the scale where Kinect's are standard."""
         if seen is None or self.lengths == "own":
             return self._walk.lengths
         squares = np.sum((self.people_ - seen) ** 2, axis=1)
@@ -159,11 +147,3 @@ class ClusteredGP(Learner):
         explained = float(covariance @ (self._inverse @ covariance))
         most = max(self.kernel.prior - self._certain, 1e-12)
         return predicted, float(np.clip(explained / most, 0.0, 1.0))
-
-
-def _cluster_means(values: Array, labels: Indices) -> Array:
-    """Return the mean of each cluster's rows of ``values``, shape (Q, F)."""
-    used, labels, sizes = np.unique(labels, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(used), values.shape[1]))
-    np.add.at(sums, labels, values)
-    return np.asarray(sums / sizes[:, None])

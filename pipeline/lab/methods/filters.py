@@ -9,15 +9,14 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
 from kinefilter.pipeline.correct.interface import measured_only
 from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.retarget import BoneLengths
 from kinefilter.retarget.body_size import chain_matrix
 
-SENSOR_NOISE, LOST_NOISE = 0.01, 0.3
-"""Standard deviation [m] of a fully reliable joint (jitter) and of an unreliable one,
-which may be off by a forearm. Guesses."""
+SENSOR_NOISE, LOST_NOISE = 0.01, 0.3  # m, reliable and lost: deviations, guesses
 ACCELERATION_DENSITY = 2.5  # m^2/s^3: 5 m/s^2 for a tenth of a second
 FIRST_SPEED = 1.0  # m/s: standard deviation for a joint not seen before
 LONGEST_PREDICTION = 0.5  # s that a missing joint keeps its velocity: half a reach
@@ -27,30 +26,17 @@ _IMMOVABLE = 1e6  # confidence in the root, which is the origin by definition
 
 
 def bridge_gaps(time: Array, positions: Array) -> Array:
-    """Return positions with gaps interpolated linearly in time.
-
-    Before its first and after its last measurement a joint is held constant; a joint
-    that was never seen stays NaN.
-
-    Time stamps [s] increase strictly, shape (T,); positions [m] are NaN where missing,
-    shape (T, J, 3).
-    """
+    """Return positions (T, J, 3) [m] with gaps bridged in time [s], held at ends."""
     columns = positions.reshape(len(positions), -1)
     bridged = interpolate_gaps(time, columns).reshape(positions.shape)
     return np.where(np.isnan(positions).all(axis=0), np.nan, bridged)
-
-
-def _rate(time: Array) -> float:
-    """Return the median frame rate [Hz], 0 for a single frame."""
-    return 1.0 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
 @dataclass
 class WholeTake(Corrector):
     """A method that filters whole takes; joints that were never seen stay NaN."""
 
-    skeleton: Skeleton | None = None
-    """Not needed, but given to all methods."""
+    skeleton: Skeleton | None = None  # not needed, but given to all methods
 
     def whole(
         self,
@@ -69,19 +55,17 @@ class WholeTake(Corrector):
 class Butterworth(WholeTake):
     """Low-pass filter over the frames, run forward and backward so that it has no lag.
 
-    Gaps are bridged first. If a take is shorter than the filter's padding, or its frame
-    rate is too low for the cutoff, nothing else happens.
+    Gaps are bridged first; takes shorter than the padding, or of too low a frame rate
+    for the cutoff, get nothing else.
     """
 
     _: KW_ONLY
-    cutoff: float = 6.0
-    """Frequency [Hz] at which half of the amplitude is left: each of the two passes
-    leaves 1 / sqrt(2)."""
-    order: int = 2
-    """Order of one pass."""
+    cutoff: float = 6.0  # Hz, at which both passes leave half of the amplitude
+    order: int = 2  # order of one pass
 
     def _filtered(self, take: Observation) -> Array:
-        bridged, rate = bridge_gaps(take.time, take.positions), _rate(take.time)
+        bridged = bridge_gaps(take.time, take.positions)
+        rate = frames_per_second(take.time)
         padding = 3 * (self.order + 1)
         if len(bridged) <= padding or 2.0 * self.cutoff >= rate:
             return bridged
@@ -93,19 +77,17 @@ class Butterworth(WholeTake):
 class SavitzkyGolay(WholeTake):
     """Least-squares polynomials over a sliding window, without lag.
 
-    Gaps are bridged first. If a take is shorter than the window, or its frame rate is
-    so low that a polynomial fits the window's frames exactly, nothing else happens.
+    Gaps are bridged first; takes shorter than the window, or with too few frames in it
+    for the polynomial, get nothing else.
     """
 
     _: KW_ONLY
-    window_seconds: float = 0.3
-    """Length of the window [s], rounded to an odd number of frames."""
-    order: int = 3
-    """Order of the polynomials: motion of this order passes unchanged."""
+    window_seconds: float = 0.3  # s, rounded to an odd number of frames
+    order: int = 3  # order of the polynomials: motion of this order passes unchanged
 
     def _filtered(self, take: Observation) -> Array:
         bridged = bridge_gaps(take.time, take.positions)
-        window = 2 * int(self.window_seconds * _rate(take.time) / 2.0) + 1
+        window = 2 * int(self.window_seconds * frames_per_second(take.time) / 2.0) + 1
         if len(bridged) < window or window <= self.order + 1:
             return bridged
         smooth = savgol_filter(np.nan_to_num(bridged), window, self.order, axis=0)
@@ -113,10 +95,7 @@ class SavitzkyGolay(WholeTake):
 
 
 def measurement_variance(reliability: Array) -> Array:
-    """Return the variance of a coordinate [m^2] by the joint's reliability.
-
-    The standard deviation changes geometrically between the two noise constants.
-    """
+    """Return a coordinate's variance [m^2], geometric in the joint's reliability."""
     deviation = LOST_NOISE ** (1.0 - reliability) * SENSOR_NOISE**reliability
     return np.asarray(deviation**2)
 
@@ -124,9 +103,8 @@ def measurement_variance(reliability: Array) -> Array:
 class ConstantVelocity:
     """Constant-velocity Kalman filters, one for each of J points.
 
-    The coordinates of a point are independent and share a covariance, so the state is
-    two vectors and the covariance is 2 x 2. Measured positions [m] have shape (J, 3),
-    the variance [m^2] of their coordinates (J,).
+    A point's coordinates are independent and share a 2 x 2 covariance. Measured
+    positions [m] have shape (J, 3), the variance [m^2] of their coordinates (J,).
     """
 
     def __init__(self, count: int) -> None:
@@ -159,10 +137,7 @@ class ConstantVelocity:
         self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, :1]
 
     def constrain(self, which: Flags, positions: Array) -> None:
-        """Move points to given positions, and their velocities by the correlation.
-
-        This is the most likely state with these positions; the covariance stays.
-        """
+        """Move points to positions, and velocities by their correlation."""
         variance = np.where(which, self.covariance[:, 0, 0], 1.0)
         follow = (self.covariance[:, 0, 1] / variance)[:, None]
         moved = np.where(which[:, None], positions - self.position, 0.0)
@@ -177,15 +152,11 @@ class BoneWalk:
         rest = standard_body(skeleton)
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._rest = rest.directions[self._ends]
-        self.lengths = rest.lengths[self._ends]
-        """Bone lengths of the standard body [m], shape (S,)."""
+        self.lengths = rest.lengths[self._ends]  # of the standard body [m], (S,)
         self._chain = chain_matrix(skeleton)[:, self._ends].copy("C")
 
     def measure(self, postures: Array) -> tuple[Array, Array]:
-        """Return the bones' directions (..., S, 3) and lengths [m] (..., S).
-
-        A bone of zero length gets its direction in the rest pose.
-        """
+        """Return the bones' directions (..., S, 3), and lengths [m] (..., S)."""
         bones = postures[..., self._ends, :] - postures[..., self._starts, :]
         lengths = np.sqrt(np.sum(bones * bones, axis=-1))
         valid = (lengths > 1e-6)[..., None]
@@ -206,11 +177,9 @@ class ConstantLengthKalman(Corrector):
 
     After Tripathy, Chakravarty, Sinha, Chatterjee & Saha 2017, "Constrained Kalman
     filter for improving Kinect based measurements", ISCAS: every joint is tracked by
-    itself, then the estimates are moved to the nearest posture of constant lengths.
-
-    Nearest is measured by the filters' variances. A missing joint keeps its velocity
-    for up to half a second, then hangs on its last bone; one that was never seen hangs
-    as in the rest pose.
+    itself, then the estimates are moved to the nearest posture of constant lengths, by
+    the filters' variances. A missing joint keeps its velocity for up to half a second,
+    then hangs on its last bone; one that was never seen hangs as in the rest pose.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
@@ -254,7 +223,6 @@ class ConstantLengthKalman(Corrector):
         return self._unseen <= LONGEST_PREDICTION
 
     def _with_lengths(self, posture: Array, tracked: Flags) -> Array:
-        """Return the nearest posture of constant bone lengths, root at the origin."""
         variance = np.where(tracked, self._points.covariance[:, 0, 0], np.inf)
         confidence = np.ones(len(posture))
         if tracked.any():

@@ -56,8 +56,8 @@ class Person:
 def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Person]:
     """Yield all recorded people, each followed by their mirror image.
 
-    ``weight`` is the total weight of a person's frames: the variance of the noise in a
-    frame is the number of frames over this. At most ``most`` frames of each are used.
+    The variance of the noise in a frame is the number of a person's frames, of which at
+    most ``most`` are used, over their total ``weight``.
     """
     features = PostureFeatures(training.skeleton)
     clip = np.cumsum(training.first) - 1
@@ -76,10 +76,8 @@ def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Perso
                 if mirrored:
                     points, offsets = map(features.mirrored, (points, offsets))
                     toward = toward * [-1.0, 1.0]
-                now = take.time[frames]
-                inputs.append(
-                    features(points[frames], points, now, take.time, toward[frames])
-                )
+                shown, now = points[frames], take.time[frames]
+                inputs.append(features(shown, points, now, take.time, toward[frames]))
                 outputs.append(offsets[frames].reshape(len(frames), -1))
             yield Person(
                 np.concatenate(inputs),
@@ -120,11 +118,7 @@ def ridge_weights(
     simulated: list[Person],
     steps: Iterator[int],
 ) -> Array:
-    """Return the weights that all people share, with random effects marginalized.
-
-    The mean offset of all people has been subtracted. ``steps`` is advanced once per
-    person, for a progress bar.
-    """
+    """Return the weights that all people share, with random effects marginalized."""
     size = random.size + 1
     information = np.zeros((size, size), dtype=np.float32, order="F")
     products = np.zeros((size, recorded[0].offsets.shape[1]))
@@ -202,10 +196,8 @@ class FourierRidgeLearner(FourierRidge, Learner):
     """The shipped corrector with its training."""
 
     skeleton: Skeleton = field(kw_only=False)
-    samples: int = 2048
-    """Number of random features per part for whole takes; live motion has half."""
-    seed: int = 0
-    """Seed of their frequencies."""
+    samples: int = 2048  # random features per part; half of them in live motion
+    seed: int = 0  # seed of their frequencies
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton)
@@ -222,16 +214,11 @@ class FourierRidgeLearner(FourierRidge, Learner):
         """Train on pairs.
 
         ``training`` are people recorded with markers, ``simulated`` others in addition.
-        ``views`` are people recorded by a second sensor as well, of any skeleton; it
-        gives the ground truth of the limbs on the far side of their bodies and of their
-        heading. With ``people``, each person's own effects in ``training`` are learned,
-        too.
+        ``views`` are people recorded by a second sensor as well, of any skeleton, for
+        the limbs on the far side of their bodies and their heading. With ``people``,
+        each person's own effects in ``training`` are learned, too.
         """
-        if training.skeleton != self.skeleton or training.person is None:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {self.skeleton.name}"
-            )
+        training.check_skeleton(self.skeleton)
         recorded = list(people_in(training, _WEIGHT, _MOST))
         if sum(len(person.features) for person in recorded) < 200:
             raise InputError(
@@ -310,7 +297,6 @@ class FourierRidgeLearner(FourierRidge, Learner):
         return self
 
     def _mean_proportions(self, training: TrainingSet) -> Array:
-        """Return the mean over people of ``PostureFeatures.proportions``."""
         if training.lengths is None or training.person is None:
             return np.zeros(len(self._posture_features.limbs))
         each = []
@@ -321,10 +307,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
 
 
 def _turn_share(views: TrainingSet) -> float:
-    """Return the share of how far people are shown turned by which they turn farther.
-
-    Least squares over frames.
-    """
+    """Return the share by which people turn farther than shown, by least squares."""
     shown = turned_away(direction_to(views.sensor, len(views)))
     yaws = [
         find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)
@@ -345,7 +328,6 @@ def _features_of(people: list[Person]) -> Singles:
 def _of_part(
     person: Person, part: Part, columns: Indices, mean: Singles | float
 ) -> Person:
-    """Return a person's frames for one part, less a mean offset [m]."""
     offsets = person.offsets.reshape(len(person.offsets), -1, 3)[:, part.joints]
     offsets = offsets.reshape(len(offsets), -1) - mean
     return replace(person, features=person.features[:, columns], offsets=offsets)
@@ -364,5 +346,4 @@ def _centers_of(features: Singles, count: int) -> Singles:
 
 
 def _half_precision(values: NDArray[Any]) -> Singles:
-    """Return values rounded to half precision, as a model file stores them."""
     return values.astype(np.float16).astype(np.float32)

@@ -15,7 +15,7 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.correct.hold import RELIABLE
 
-from .training_data import OffsetCorrector, TrainingSet, add_offsets
+from .training_data import OffsetCorrector, TrainingSet
 
 Likelihood = Literal["relative", "density"]
 _LARGEST = 100_000  # frames used to measure the variances of movement and error
@@ -23,9 +23,8 @@ _LEAST = 1e-8  # m^2: a tenth of a millimeter, which is invisible
 _RELIABLE = 0.9  # reliability from which a joint's error counts as a reliable joint's
 _DOUBTED = 0.7
 """Reliability up to which a joint's measured position is ignored: Chiang's minimum for
-training data. In the first frame in which the sensor guesses, Shum's reliability, a
-mean over six frames, is still 0.7. At 0.3 a limb would be held where the first guesses
-jump to."""
+training data, and Shum's reliability in the first frame in which the sensor guesses. At
+0.3 a limb would be held where the first guesses jump to."""
 
 
 def least_energy(
@@ -40,19 +39,15 @@ def least_energy(
 ) -> Array:
     """Return the offsets of least energy (Liu eq. 22), in closed form.
 
-    The paper writes the spatial term as a log density (eq. 7) and minimizes it; here it
-    is the negative of that, times twice the prior variance: certainty * |y - mean|^2, a
+    The paper minimizes the spatial term as a log density (eq. 7); here it is the
+    negative of that, times twice the prior variance: certainty * |y - mean|^2, a
     squared distance like the other terms (eq. 20, 21). Every term is quadratic in y.
 
-    Args:
-        mean: Predicted offsets [m], shape (M, 3).
-        certainty: Prior variance over predicted variance, shape (M, 3): 1 without
-            training data nearby, so that the weights are then those of the paper.
-        steady: Offsets of constant velocity [m], NaN where unknown, shape (M, 3).
-        reliabilities: Reliability of the joints, in [0, 1], shape (M,).
-        spatial: Weight of the spatial term.
-        temporal: Weight of the temporal term, or weights of shape (M, 1).
-        reliability: Weight of the reliability term, likewise.
+    ``mean`` (M, 3) are the predicted offsets [m], ``certainty`` (M, 3) the prior
+    variance over the predicted one, 1 without training data nearby, so that the weights
+    are then those of the paper, ``steady`` (M, 3) the offsets of constant velocity [m],
+    NaN where unknown, and ``reliabilities`` (M,) those of the joints. The others are
+    the terms' weights, of shape (M, 1) or numbers.
     """
     near = spatial * certainty
     flow = np.where(np.isnan(steady), 0.0, temporal)
@@ -65,27 +60,18 @@ def least_energy(
 class FusedOffsets(OffsetCorrector):
     """Adds to each joint the offset of least energy around a prediction."""
 
-    spatial: float = 0.6
-    """Weight of the predicted offset (first term of eq. 22)."""
-    temporal: float = 0.2
-    """Weight of constant velocity (second term)."""
-    reliability: float = 0.2
-    """Weight of a zero offset, scaled by the joint's reliability (third term)."""
+    spatial: float = 0.6  # weight of the predicted offset (first term of eq. 22)
+    temporal: float = 0.2  # weight of constant velocity (second term)
+    reliability: float = 0.2  # weight of a zero offset, times reliability (third)
     likelihood: Likelihood = "relative"
-    """Units of the energy's terms. ``relative``: squared distances, the spatial one
-    scaled by the prior variance over the predicted variance. ``density``: each term is
-    a negative log density, with a variance measured on the training data."""
-    carry: float = 1.0
-    """Share of the last velocity that the temporal term expects in the next frame; 1 is
-    constant velocity, as printed."""
-    spared: float = 0.0
-    """Share of the temporal weight that is removed from a fully reliable joint."""
+    """Units of the energy's terms: squared distances, the spatial one ``relative`` to
+    its prior variance; or negative log densities, with measured variances."""
+    carry: float = 1.0  # share of the last velocity that the temporal term expects
+    spared: float = 0.0  # share of the temporal weight less for a fully reliable joint
     inputs: Literal["measured", "held"] = "held"
-    """What offsets are predicted from and added to. ``measured``: the joints as
-    measured. ``held``: unreliable joints are held on their last bones, if there is a
-    reliability term."""
-    seen_: Flags = field(init=False)
-    """The joints that the sensor measures, shape (J,)."""
+    """What offsets are predicted from and added to: the joints as measured, or, if
+    there is a reliability term, with unreliable ones held on their last bones."""
+    seen_: Flags = field(init=False)  # the joints that the sensor measures, shape (J,)
     movement_: Array = field(init=False)
     """Variance [m^2] of the temporal term's density: of a coordinate's second
     difference between frames in which the joint is reliable, shape (M,)."""
@@ -147,9 +133,7 @@ class FusedOffsets(OffsetCorrector):
         offsets, coverage = self._offsets(posture, seen)
         hung = missing.copy()
         hung[self.joints_] = False
-        result = add_offsets(
-            self.skeleton, posture, self.joints_, offsets, hung, coverage
-        )
+        result = self._moved(posture, offsets, hung, coverage)
         self._past = [*self._past[-1:], result.positions[self.joints_]]
         return replace(result, confidence=np.where(missing, 0.0, result.confidence))
 
@@ -168,20 +152,10 @@ class FusedOffsets(OffsetCorrector):
     def _fused(
         self, mean: Array, variance: Array, prior: Array, posture: Array, seen: Array
     ) -> Array:
-        """Return the offsets [m] of least energy, shape (M, 3).
-
-        Args:
-            mean: Predicted offsets [m], shape (M, 3).
-            variance: Their variance [m^2], shape (M, 3) or (M, 1).
-            prior: Variance of offsets without training data nearby [m^2], shape (M,).
-            posture: The joints that offsets are added to [m], shape (J, 3).
-            seen: Reliability of the joints, 0 where missing, shape (J,).
-        """
-        scale: Any = prior[:, None]
-        moves: Any = 1.0
-        misplaced: Any = 1.0
+        """Return the offsets [m] of least energy around predictions, shape (M, 3)."""
+        scale, moves, misplaced = prior[:, None], np.ones(1), np.ones(1)
         if self.likelihood == "density":
-            scale = 1.0
+            scale = np.ones(1)
             moves, misplaced = self.movement_[:, None], self.misplaced_[:, None]
         kept = 1.0 - self.spared * self._trusted[self.joints_, None]
         temporal = self.temporal * kept**2  # squared, like the reliability in eq. 21
@@ -204,7 +178,6 @@ class FusedOffsets(OffsetCorrector):
 
 
 def _mean_square(values: Array) -> Array:
-    """Return the mean square of each joint's coordinates, ignoring NaN, (M,)."""
     present = ~np.isnan(values)
     squares = np.sum(np.where(present, values, 0.0) ** 2, axis=(0, 2))
     return np.asarray(squares / np.maximum(present.sum(axis=(0, 2)), 1))

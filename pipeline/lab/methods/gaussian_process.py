@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, qr_delete, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from kinefilter.characters.arrays import Array, Indices
@@ -77,9 +77,8 @@ def log_marginal_likelihood(
 ) -> tuple[float, Array]:
     """Return the log likelihood of targets and its gradient (Liu eq. 6, Chiang eq. 4).
 
-    The outputs share the kernel, so their log likelihoods add up. The gradient is with
-    respect to ``kernel.logarithms()``; samples and targets [m] have shapes (N, F) and
-    (N, P).
+    The outputs share the kernel. The gradient is with respect to the logarithms of the
+    hyper-parameters; samples and targets [m] have shapes (N, F) and (N, P).
     """
     outputs = targets.shape[1]
     parts = kernel.gaussians(samples, samples)
@@ -107,10 +106,9 @@ def log_marginal_likelihood(
 
 
 def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
-    """Return the kernel of greatest marginal likelihood near a first guess.
+    """Return the kernel of greatest marginal likelihood within 1000 times a guess.
 
-    Hyper-parameters stay within a factor of 1000 of the guess. Samples and targets [m]
-    have shapes (N, F) and (N, P).
+    Samples and targets [m] have shapes (N, F) and (N, P).
     """
 
     def cost(logarithms: Array) -> tuple[float, Array]:
@@ -135,10 +133,8 @@ def fit_kernel(start: Kernel, samples: Array, targets: Array) -> Kernel:
 def grow_factor(factor: Array, covariance: Array, variance: float) -> Array:
     """Return the upper Cholesky factor of K with one more sample (eq. 16), in O(S^2).
 
-    Args:
-        factor: U with U' U = K (Liu eq. 14), shape (S, S).
-        covariance: Covariance of the new sample with the others, shape (S,).
-        variance: Its variance, noise included.
+    ``factor`` is U with U' U = K (eq. 14), (S, S); ``covariance`` is that of the new
+    sample with the others, (S,), and ``variance`` its own, noise included.
     """
     size = len(factor)
     grown = np.zeros((size + 1, size + 1))
@@ -160,12 +156,6 @@ def grow_inverse(inverse: Array, factor: Array) -> Array:
     return grown
 
 
-def shrink_factor(factor: Array, k: int) -> Array:
-    """Return the upper Cholesky factor of K without sample k, in O(S^2)."""
-    triangle = qr_delete(np.eye(len(factor)), factor, k, which="col")[1]
-    return np.asarray(triangle[:-1])
-
-
 def shrink_inverse(inverse: Array, k: int) -> Array:
     """Return the inverse of K without sample k, in O(S^2)."""
     rest = np.delete(np.arange(len(inverse)), k)
@@ -174,28 +164,14 @@ def shrink_inverse(inverse: Array, k: int) -> Array:
     return np.asarray(smaller)
 
 
-def divergences(inverse: Array, targets: Array, noise: float) -> Array:
-    """Return the information that each sample adds to the others (Liu eq. 1, 2), (N,).
-
-    That is the KL divergence of the prediction at the sample by all samples from that
-    by the others alone; both follow from the inverse of K.
-
-    Args:
-        inverse: Inverse covariance of the noisy samples [1/m^2], shape (N, N).
-        targets: Their outputs [m], shape (N, P).
-        noise: Variance of the noise [m^2].
-    """
-    # Leave-one-out (Rasmussen & Williams 2006, eq. 5.12), noise included.
-    return divergence_of(1.0 / np.diag(inverse), inverse @ targets, noise)
-
-
 def divergence_of(alone: Array, alpha: Array, noise: float) -> Array:
-    """Return the information that samples add to the others, shape (N,).
+    """Return the information that samples add to the others (Liu eq. 1, 2), (N,).
 
-    Args:
-        alone: Variance of the others' prediction of each, noise included [m^2], (N,).
-        alpha: Deviation from that prediction over that variance, shape (N, P).
-        noise: Variance of the noise [m^2].
+    That is the KL divergence of the prediction at a sample by all samples from that by
+    the others alone. ``alone`` (N,) is the variance [m^2] of the others' prediction,
+    noise included, ``alpha`` (N, P) the deviation from that prediction over that
+    variance; with K the covariance of the samples, 1 / diag(K^-1) and K^-1 y
+    (leave-one-out, Rasmussen & Williams 2006, eq. 5.12).
     """
     within = 2.0 * noise - noise**2 / alone
     apart = alpha * (alone - noise)[:, None]
@@ -210,20 +186,16 @@ def informative_samples(
 ) -> Indices:
     """Return the samples that posture budgeting keeps, in ascending order.
 
-    It repeatedly drops the sample that the others predict best, while there are too
-    many samples or its divergence (Liu eq. 1, 2) is below ``redundancy``.
-
-    Args:
-        matrix: Covariance of the noisy samples [m^2], shape (N, N).
-        targets: Their outputs [m], shape (N, P).
-        noise: Variance of the noise [m^2].
-        most: Maximum number of samples kept.
-        redundancy: Divergence below which a sample is redundant; 0 for never.
+    It repeatedly drops the sample that the others predict best, while there are more
+    than ``most`` or its divergence (Liu eq. 1, 2) is below ``redundancy``. ``matrix``
+    (N, N) is the covariance of the noisy samples [m^2], ``targets`` (N, P) [m] their
+    outputs, ``noise`` its variance [m^2].
     """
     kept = np.arange(len(matrix))
     inverse = np.asarray(np.linalg.inv(matrix))
     while len(kept) > 1:
-        divergence = divergences(inverse, targets[kept], noise)
+        alone, alpha = 1.0 / np.diag(inverse), inverse @ targets[kept]
+        divergence = divergence_of(alone, alpha, noise)
         least = int(np.argmin(divergence))
         if len(kept) <= most and divergence[least] >= redundancy:
             break

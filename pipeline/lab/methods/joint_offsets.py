@@ -1,11 +1,8 @@
 """Offsets of the sensor's joints from the anatomical ones, constant in the body.
 
-A tracker's joints are not anatomical joint centers: most of a Kinect's error is that
-they lie some centimeters off, always on the same side of the limb. Each joint's offset
-is therefore a weighted sum of six vectors that turn with the body: along the segment
-that ends at the joint, along the one that starts there, perpendicular to both, and
-left, up and forward of the hips. With only six weights per joint, what is learned on
-simulated people carries over to real ones.
+Each is a weighted sum of six vectors that turn with the body: along the segment that
+ends at the joint, along the one that starts there, perpendicular to both, and left, up
+and forward of the hips. So few weights carry over from simulated people to real ones.
 """
 
 from dataclasses import dataclass
@@ -21,9 +18,8 @@ from kinefilter.pipeline.progress import Progress, silent
 from .training_data import OffsetCorrector, TrainingFrames, TrainingSet
 
 _RIDGE = 0.2
-"""Penalty on large offsets when training on simulated people. At half of it, one real
-person in three ended up further from the truth than measured; at twice it, a sixth of
-the gain was lost (on the people that the virtual Kinect is calibrated to)."""
+"""Penalty on large offsets in training. At half of it, one real person in three ended
+up further from the truth than measured; at twice it, a sixth of the gain was lost."""
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -2,9 +2,7 @@
 
 Liu, Zhou, Leung & Shum 2016, "Kinect posture reconstruction based on a local mixture
 of Gaussian process models", IEEE TVCG 22(11). Unlike in the paper, the processes model
-the residual of a linear trend, which holds what local models cannot share. The studies
-liu-figure-3, liu-figure-7 and liu-table-5 vary what the paper varies; liu-table-3
-compares the method with one process over all samples (full-gp).
+the residual of a linear trend, which holds what local models cannot share.
 """
 
 from dataclasses import dataclass
@@ -38,29 +36,18 @@ _SURE = 0.25  # share of the prior variance below which a prediction may be lear
 class LocalGP(FusedOffsets):
     """Adds to each joint the offset of least energy, around local predictions."""
 
-    clusters: int = 50
-    """Q, number of local models per joint."""
-    samples: int = 50
-    """S, maximum number of samples per local model."""
-    blended: int = 9
-    """L, number of nearest local models that are blended."""
-    frames: int = 0
-    """Number of training frames drawn; 0 means four for each sample kept."""
-    redundancy: float = 0.01
-    """Divergence below which posture budgeting drops a sample; at 0 it only drops
-    samples beyond the maximum number."""
-    trend: bool = True
-    """Use a linear trend as the processes' mean function instead of 0."""
+    clusters: int = 50  # Q, number of local models per joint
+    samples: int = 50  # S, maximum number of samples per local model
+    blended: int = 9  # L, number of nearest local models that are blended
+    frames: int = 0  # number of training frames drawn; 0: four for each sample kept
+    redundancy: float = 0.01  # divergence below which budgeting drops a sample
+    trend: bool = True  # use it as the processes' mean function instead of 0
     votes: Votes = "precision"
     """Weights by which local models are blended: ``similarity`` as in eq. 12, or that
     times ``precision``, which also discounts models without a sample nearby."""
-    adapt: bool = False
-    """Learn from the corrected frames themselves, until ``start``."""
-    adapt_reliability: float = 0.9
-    """Minimum reliability of a joint to learn from."""
-    spare: int = 20
-    """Number of samples per local model, and of models per joint, that may be added
-    while adapting; once full, the least informative sample is replaced."""
+    adapt: bool = False  # learn from the corrected frames themselves, until ``start``
+    adapt_reliability: float = 0.9  # minimum reliability of a joint to learn from
+    spare: int = 20  # samples per model, and models per joint, that adapting may add
 
     fitted = (
         *("features", "offsets", "counts", "centers", "reach", "certain"),
@@ -140,11 +127,9 @@ class LocalGP(FusedOffsets):
         self._models = self._local_models()
 
     def _local_models(self) -> LocalModels:
-        arrays = (self.centers_, self.features_, self.offsets_, self.counts_)
+        data = self.centers_, self.features_, self.offsets_, self.counts_
         spare = self.spare if self.adapt else 0
-        return LocalModels(
-            self.kernels, *arrays, spare=spare, redundancy=self.redundancy
-        )
+        return LocalModels(self.kernels, *data, spare=spare, redundancy=self.redundancy)
 
     def start(self) -> None:
         """Reset the state for a new motion, including what was learned from frames."""

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, qr_delete
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
@@ -52,9 +52,8 @@ def fit_kernels(
 ) -> Array:
     """Return every joint's kernel of greatest likelihood (eq. 6), (M, 3 + F).
 
-    Samples must be in random order, since only the first ones are used. Features [m]
-    are zero-padded, shape (N, M, F); ``sizes`` are their numbers for each joint.
-    Offsets [m] have shape (N, M, 3).
+    Samples are in random order, as only the first ones are used. Features [m] are
+    zero-padded, (N, M, F), to ``sizes`` each; offsets [m] have shape (N, M, 3).
     """
     table = np.zeros((len(sizes), 3 + features.shape[2]))
     for m in progress("hyper-parameters", len(sizes)):
@@ -73,12 +72,10 @@ class JointKernels:
     """Liu's kernel (eq. 5) for every joint.
 
     All local models of a joint share their hyper-parameters: each has only a few
-    samples to learn from, and their similarities (eq. 10) have to be comparable.
-
-    Args:
-        table: Result of ``fit_kernels``. Per joint: theta0 and theta1, the variances of
-            the Gaussian part and of the bias, the variance of the noise [m^2], and the
-            square roots of W [1/m], by which features are scaled; shape (M, 3 + F).
+    samples to learn from, and their similarities (eq. 10) have to be comparable. The
+    ``table`` of ``fit_kernels`` has, per joint, theta0 and theta1, the variances of the
+    Gaussian part and of the bias, the variance of the noise [m^2], and the square roots
+    of W [1/m], by which features are scaled; shape (M, 3 + F).
     """
 
     def __init__(self, table: Array) -> None:
@@ -131,16 +128,10 @@ class LocalModels:
     """The local processes of every joint, in padded arrays.
 
     Features are stored multiplied by the square roots of W. Padding has no effect:
-    zeros in alpha and in the inverse, centers at infinity.
-
-    Args:
-        kernels: The joints' kernels.
-        centers: Centers of the models [m], shape (M, Q, F).
-        features: Features of the samples [m], shape (M, Q, S, F).
-        offsets: Offsets of the samples [m], shape (M, Q, S, 3).
-        counts: Number of samples of each model, shape (M, Q).
-        spare: Number of models per joint, and of samples per model, that may be added.
-        redundancy: Divergence below which a sample is not added.
+    zeros in alpha and in the inverse, centers at infinity. Per joint and model there
+    are ``centers`` [m], (M, Q, F), and ``counts`` samples, (M, Q), with ``features``
+    [m], (M, Q, S, F), and ``offsets`` [m], (M, Q, S, 3). ``spare`` models and samples
+    per model may be added, unless their divergence is below ``redundancy``.
     """
 
     def __init__(
@@ -224,12 +215,10 @@ class LocalModels:
         """Add a sample to the nearest model, or as a new one (Liu, algorithm 2).
 
         A sample that the others predict is left out (posture budgeting, section 3.2).
-        If the model is full, the sample that the others predict best is dropped.
-
-        The sample of joint ``m`` has an offset [m], shape (3,), at features ``x``,
-        which are multiplied by the square roots of W, shape (F,). Farther than
-        ``reach`` from all centers, in units of the kernel, the similarity of eq. 10 is
-        too small and a new model begins.
+        If the model is full, the sample that the others predict best is dropped. The
+        sample of joint ``m`` has an offset [m], (3,), at features ``x``, times the
+        square roots of W, (F,). Farther than ``reach`` from all centers, a new model
+        begins.
         """
         kernel = self._kernels[m]
         distances = np.linalg.norm(self.centers[m] - x, axis=1)
@@ -253,12 +242,14 @@ class LocalModels:
         rows = np.concatenate([self._rows[m, q, :n], x[None]])
         offsets = np.concatenate([self._offsets[m, q, :n], offset[None]])
         if n == most:
-            least = int(gp.divergences(inverse, offsets, kernel.noise).argmin())
+            each, alpha = 1.0 / np.diag(inverse), inverse @ offsets
+            least = int(gp.divergence_of(each, alpha, kernel.noise).argmin())
             if least == n:
                 return
             rows, offsets = (np.delete(a, least, axis=0) for a in (rows, offsets))
             inverse = gp.shrink_inverse(inverse, least)
-            factor = gp.shrink_factor(factor, least)
+            grown = qr_delete(np.eye(n + 1), factor, least, which="col")[1]
+            factor = np.asarray(grown[:-1])
         n = len(rows)
         self._rows[m, q, :n], self._offsets[m, q, :n] = rows, offsets
         self.centers[m, q] += (x - self.centers[m, q]) / n

@@ -30,11 +30,7 @@ class Decomposition:
 
 
 def threshold_singular_values(matrix: Array, threshold: float) -> Array:
-    """Return the matrix with its singular values lowered by a threshold, down to 0.
-
-    Operator M of eq. 6. It decomposes the N x N Gram matrix instead of the matrix
-    (M, N), which pays off for tall matrices.
-    """
+    """Return a tall matrix with lower singular values, down to 0 (M of eq. 6)."""
     squares, right = np.linalg.eigh(matrix.T @ matrix)
     values = np.sqrt(np.maximum(squares, 0.0))
     kept = values > threshold
@@ -43,19 +39,15 @@ def threshold_singular_values(matrix: Array, threshold: float) -> Array:
 
 
 def decompose(
-    matrix: Array, penalty: Array, *, growth: float = 1.05, iterations: int = 1000
+    matrix: Array, penalty: Array, growth: float = 1.05, iterations: int = 1000
 ) -> Decomposition:
     """Minimize nuclear(A) + sum of penalty |E| with A + E = D (eq. 3).
 
     The inexact augmented Lagrangian of algorithm 1, with the multiplier starting at 0.
 
-    Args:
-        matrix: D, finite, shape (M, N), tall.
-        penalty: Penalty on each entry's error: lambda, or 0 where nothing was measured;
-            shape (M, N).
-        growth: rho, the factor by which mu grows; the common 1.5 stops short of the
-            minimum.
-        iterations: Maximum number of iterations.
+    D is finite, (M, N), tall; the penalty of each entry's error, (M, N), is lambda, or
+    0 where nothing was measured. ``growth`` is rho, by which mu grows; the common 1.5
+    stops short of the minimum.
     """
     size = float(np.linalg.norm(matrix))
     error, dual = np.zeros_like(matrix), np.zeros_like(matrix)
@@ -85,22 +77,16 @@ class LowRank(WholeTake):
     """Removes sparse errors from a take.
 
     Errors within gaps cost nothing, so the measured joints determine the positions
-    there. A joint that was never measured stays NaN.
-
-    Attributes:
-        iterations_: Number of iterations for the last take.
-        converged_: True if they were enough.
+    there. A joint that was never measured stays NaN. ``iterations_`` and ``converged_``
+    tell how many the last take needed, and whether they were enough.
     """
 
     _: KW_ONLY
     sparsity: float = 2.0
-    """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 is for
-    matrices of low rank; the motion of 20 joints is not quite low-rank, and 1 removes
-    some of it along with the errors."""
-    growth: float = 1.05
-    """rho, as in ``decompose``; 1 or more."""
-    iterations: int = 1000
-    """Maximum number of iterations."""
+    """C, the price of errors: lambda = C / sqrt(max(3 T, J)). The usual 1 removes some
+    of the motion, which is not quite low-rank."""
+    growth: float = 1.05  # rho, as in ``decompose``; 1 or more
+    iterations: int = 1000  # maximum number of iterations
 
     def __post_init__(self) -> None:
         if self.growth < 1.0:
@@ -114,9 +100,7 @@ class LowRank(WholeTake):
         del rows  # so that an hour's take fits in a gigabyte
         price = self.sparsity / np.sqrt(max(len(matrix), seen.shape[1]))
         penalty = price * np.repeat(seen[:, joints], 3, axis=0)
-        result = decompose(
-            matrix, penalty, growth=self.growth, iterations=self.iterations
-        )
+        result = decompose(matrix, penalty, self.growth, self.iterations)
         self.iterations_, self.converged_ = result.iterations, result.converged
         recovered = np.full_like(take.positions, np.nan)
         clean = result.low_rank.reshape(len(seen), 3, len(joints))

@@ -25,7 +25,6 @@ class LeastEnergy(LocalPCA):
         return Correction(postures, rotations, 0.0 * weights, unknown)
 
     def _weights(self, observation: Observation) -> Array:
-        """Return each joint's weight, 0 where it is missing, shape (..., J)."""
         return observation.reliability * _present(observation)
 
 
@@ -37,10 +36,7 @@ class NoReliability(LeastEnergy):
 
 
 class Nearest(Corrector):
-    """Returns the posture of the database that is most similar to the measurement.
-
-    Method A (Shum & Ho 2012) in Shum 2013, section VIII.B.
-    """
+    """Returns the most similar posture of the database, method A in Shum 2013."""
 
     def __init__(self, database: PostureDatabase) -> None:
         self.database = database

@@ -37,6 +37,14 @@ class TrainingSet:
     def __len__(self) -> int:
         return len(self.positions)
 
+    def check_skeleton(self, skeleton: Skeleton) -> None:
+        """Raise an InputError if the frames are not of the skeleton of a model."""
+        if self.skeleton != skeleton:
+            raise InputError(
+                f"{self.source}: pairs of {self.skeleton.name}, but the model is for "
+                f"{skeleton.name}"
+            )
+
 
 class Learner(LearnedCorrector, ABC):
     """A correction method that can be trained."""
@@ -51,10 +59,8 @@ class OffsetCorrector(Learner):
     """Fills missing joints, then adds an offset to each joint."""
 
     skeleton: Skeleton = field(kw_only=False)
-    samples: int
-    """Maximum number of training frames."""
-    seed: int = 0
-    """Seed for drawing the training frames."""
+    samples: int  # maximum number of training frames
+    seed: int = 0  # seed for drawing the training frames
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton)
@@ -64,9 +70,24 @@ class OffsetCorrector(Learner):
         missing = np.isnan(observation.positions[:, 0])
         posture = self._hold.step(observation).positions
         offsets, coverage = self._offsets(posture, observation)
-        return add_offsets(
-            self.skeleton, posture, self.joints_, offsets, missing, coverage
-        )
+        return self._moved(posture, offsets, missing, coverage)
+
+    def _moved(
+        self, posture: Array, offsets: Array, missing: Flags, coverage: float
+    ) -> Correction:
+        """Return a posture (J, 3) with the learned joints moved by offsets (M, 3) [m].
+
+        Joints that are ``missing`` (J,), and filled, move with their parents.
+        """
+        learned, skeleton = self.joints_, self.skeleton
+        corrected = posture.copy()
+        corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
+        for j in skeleton.order[1:] if missing.any() else ():
+            if missing[j]:
+                parent = skeleton.parents[j]
+                corrected[j] = corrected[parent] + posture[j] - posture[parent]
+        confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
+        return Correction(corrected, None, confidence, coverage)
 
     @abstractmethod
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:
@@ -90,19 +111,10 @@ class TrainingFrames:
         skeleton: Skeleton,
         samples: int,
         seed: int,
-        *,
         least_reliability: float = 0.0,
     ) -> Self:
-        """Draw at most ``samples`` frames at random.
-
-        Every learned joint has at least ``least_reliability`` in them. Raises an
-        InputError if such frames are too few, or of another skeleton.
-        """
-        if training.skeleton != skeleton:
-            raise InputError(
-                f"{training.source}: pairs of {training.skeleton.name}, but the model "
-                f"is for {skeleton.name}"
-            )
+        """Draw frames in which learned joints are reliable; InputError if too few."""
+        training.check_skeleton(skeleton)
         counts = np.zeros((2, len(skeleton)))
         for block in chunks(len(training), _BLOCK):
             measured = ~np.isnan(training.positions[block, :, 0])
@@ -135,38 +147,11 @@ class TrainingFrames:
         return cls(postures, offsets, joints, usual, lengths)
 
 
-def _complete_frames(
-    training: TrainingSet, joints: Indices, least_reliability: float
-) -> Indices:
-    """Return the frames in which all the joints are reliable, measured and true."""
+def _complete_frames(training: TrainingSet, joints: Indices, least: float) -> Indices:
     frames = []
     for block in chunks(len(training), _BLOCK):
-        complete = training.reliability[block][:, joints] >= least_reliability
+        complete = training.reliability[block][:, joints] >= least
         for positions in (training.positions, training.truth):
             complete &= ~np.isnan(positions[block][:, joints, 0])
         frames.append(block.start + np.flatnonzero(complete.all(axis=1)))
     return np.concatenate(frames)
-
-
-def add_offsets(
-    skeleton: Skeleton,
-    posture: Array,
-    learned: Indices,
-    offsets: Array,
-    missing: Flags,
-    coverage: float,
-) -> Correction:
-    """Return a posture moved by offsets; missing joints move with their parents.
-
-    The posture [m], shape (J, 3), has missing joints filled; ``missing`` (J,) is True
-    for them. Offsets [m], shape (M, 3), are those of the ``learned`` joints (M,).
-    Coverage is that of the posture by the training data, in [0, 1].
-    """
-    corrected = posture.copy()
-    corrected[learned] += np.where(missing[learned, None], 0.0, offsets)
-    for j in skeleton.order[1:] if missing.any() else ():
-        if missing[j]:
-            parent = skeleton.parents[j]
-            corrected[j] = corrected[parent] + posture[j] - posture[parent]
-    confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-    return Correction(corrected, None, confidence, coverage)

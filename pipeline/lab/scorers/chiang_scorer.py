@@ -22,15 +22,11 @@ class ChiangReliabilityScorer(ReliabilityScorer):
     """
 
     skeleton: Skeleton
-    reference: Reference
-    """The person's segment lengths."""
+    reference: Reference  # the person's segment lengths
     _: KW_ONLY
-    largest_displacement: float = 0.03
-    """T [m]: joints that move less are not in error (eq. 10)."""
-    steepness: float = 4.0
-    """Reliability lost per T beyond T; by default 0 is reached at 1.25 T (eq. 10)."""
-    now: float = 0.7
-    """Weight of the current frame; the previous frame has the rest (eq. 12)."""
+    largest_displacement: float = 0.03  # T [m]: of joints not in error (eq. 10)
+    steepness: float = 4.0  # reliability lost per T beyond T (eq. 10)
+    now: float = 0.7  # weight of the current frame, not the one before (eq. 12)
 
     def __post_init__(self) -> None:
         super().__init__(self.skeleton, self.reference)
@@ -63,8 +59,7 @@ class ChiangReliabilityScorer(ReliabilityScorer):
         """Return the term for jumps away from both previous frames (eq. 8-10).
 
         Eq. 10 prints (1 - 4 (d2 - T)) / T, which exceeds 1; here it is 1 - 4 (d2 - T) /
-        T, at least 0. Where a position is missing, and in the first two frames, there
-        is no displacement and the term is 1.
+        T, at least 0; 1 where a position is missing, and in the first two frames.
         """
         term = np.ones(len(positions))
         if len(self._past) == 2:

@@ -1,9 +1,8 @@
 """Reliability learned from simulated people.
 
-A Kinect's errors depend on the posture: a raised elbow is always misplaced in a way
-that a hanging one is not, without noise and with correct segment lengths. A logistic
-regression for each kind of joint predicts from posture, noise, length errors and lost
-tracking how likely the joint is to be far off.
+A Kinect's errors depend on the posture: a raised elbow is always misplaced, without
+noise and with correct segment lengths. A logistic regression for each kind of joint
+predicts from posture, noise, length errors and lost tracking whether it is far off.
 """
 
 from collections.abc import Sequence
@@ -87,23 +86,18 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
     """Scores frame by frame; a whole take gets the same scores.
 
     Reliability is the probability that a joint is less than 10 cm off, its constant
-    offset included, so it stays low for as long as a posture lasts that the sensor
-    misjudges. It is 0 for a missing joint. The deciding term is the one whose clues
+    offset included; 0 for a missing joint. The deciding term is the one whose clues
     raise the odds of an error most; Term.BEHAVIOR stands for noise and speed. The
     geometry is the reliability that the joint would have if it were always tracked.
-    By default, the weights of the clues are those of the embedded file.
     """
 
     def __init__(
-        self,
-        skeleton: Skeleton,
-        reference: Reference,
-        weights: ClueWeights | None = None,
+        self, skeleton: Skeleton, reference: Reference, given: ClueWeights | None = None
     ) -> None:
         body = measured_body(skeleton, reference.lengths, reference.directions)
         self._scale = STANDARD_HEIGHT / body.height
         self._rest = body.rest_positions - body.rest_positions[skeleton.root]
-        self._learned = weights or _embedded_weights(skeleton)
+        self._learned = given or _embedded_weights(skeleton)
         own = np.arange(len(skeleton))
         before = np.maximum(skeleton.parents, 0)
         after = [next(iter(skeleton.children[j]), j) for j in own]
@@ -142,8 +136,7 @@ class LearnedReliabilityScorer(NoiseReliabilityScorer):
         """Return the clues for each joint of the next frame, shape (J, C).
 
         These are the logarithms of noise, speed and length errors, the share of frames
-        not tracked, then the posture around the joint and its products. For the
-        arguments see ``step``.
+        not tracked, then the posture around the joint and its products.
         """
         elapsed = self._elapsed(time)
         share = 1.0 - np.exp(-elapsed / MEMORY)
@@ -196,8 +189,7 @@ def learned_weights(pairs: Sequence[PairedTake]) -> ClueWeights:
     """Return weights trained on pairs of one skeleton."""
     from sklearn.linear_model import LogisticRegression
 
-    parts = map(_clues_and_errors, pairs)
-    clues, far = map(np.concatenate, zip(*parts, strict=True))
+    clues, far = map(np.concatenate, zip(*map(_clues_and_errors, pairs), strict=True))
     learned = ClueWeights.even_odds(pairs[0].take.skeleton)
     kinds = np.array(learned.skeleton.kinds)
     for kind in dict.fromkeys(kinds):

@@ -1,9 +1,8 @@
 """Reliability from noise and segment lengths.
 
 Where a Kinect has to guess a joint, the guess changes from frame to frame, and segments
-change their lengths. People do not move like that: over five frames, a joint's path is
-close to a cubic, however fast it is. What remains after subtracting the cubic is the
-sensor's noise. Noise and length errors together give an estimate of a joint's error.
+change their lengths. A person's joint is close to a cubic over five frames, however
+fast it is; the rest is noise. Noise and length errors give an estimate of the error.
 """
 
 import numpy as np
@@ -17,9 +16,7 @@ SAMPLES = 5  # positions a cubic is subtracted from, one more than it can fit
 MEMORY = 0.2
 """Time constant [s] of the means of squared noise and squared length errors: as long as
 the window of Shum's reliability. On paired data 0.1 to 1 s do about as well."""
-RECOVERY = 0.1
-"""Time constant [s] in which a joint becomes reliable again once it is tracked: 0.85
-after 0.2 s, like Shum's reliability."""
+RECOVERY = 0.1  # s, to be reliable once tracked: 0.85 after 0.2 s, as Shum's
 MOTION_SHARE = 0.1
 """Part of a person's own motion that a cubic does not explain, relative to the distance
 covered per frame. At 30 Hz, nine tenths of marker mocap (CMU: walking, punching, sword
@@ -30,8 +27,7 @@ too slowly to be noise. Fitted on six people; 5 to 15 do about as well."""
 DOUBTFUL_ERROR = 0.25
 """Estimated error [m] at which reliability falls to 1/e. It is 0.85 at 10 cm and 0.6 at
 18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
-LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR
-"""Limit of a single frame's error [m], so that a jump has no effect after a second."""
+LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR  # m, of a frame: a jump is soon forgotten
 
 
 class NoiseReliabilityScorer(ReliabilityScorer):
@@ -40,10 +36,8 @@ class NoiseReliabilityScorer(ReliabilityScorer):
     Noise is relative to the root, and the root's own to the room. Reliability is a
     Gaussian of the error that noise and length errors suggest. It is 0 while a joint is
     inferred or not tracked, and recovers gradually. The deciding term is the one that
-    lowers the reliability most; Term.BEHAVIOR stands for noise.
-
-    For a tracked joint the geometry ignores noise, since a noisy measurement is still
-    closer to the truth than a reconstructed position.
+    lowers the reliability most; Term.BEHAVIOR stands for noise. The geometry of a
+    tracked joint ignores noise: it is still closer to the truth than a reconstruction.
     """
 
     def __init__(self, skeleton: Skeleton, reference: Reference) -> None:
@@ -76,7 +70,6 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return self._tracked * reliability, term.astype(np.uint8), geometry
 
     def _elapsed(self, time: float | None) -> float:
-        """Return the time since the last frame [s], and store this frame's."""
         before = self._time
         if time is None:
             time = 0.0 if before is None else before + FRAME_TIME
@@ -84,10 +77,7 @@ class NoiseReliabilityScorer(ReliabilityScorer):
         return FRAME_TIME if before is None else time - before
 
     def _square_errors(self, positions: Array, elapsed: float) -> tuple[Array, Array]:
-        """Return mean squares of noise along an axis and length errors [m^2], (J,).
-
-        The means begin as means of all values so far, then forget exponentially.
-        """
+        """Return mean squares of noise along an axis and length errors [m^2], (J,)."""
         root = self.skeleton.root
         relative = positions - positions[root]
         relative[root] = positions[root]

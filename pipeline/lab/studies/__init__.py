@@ -1,10 +1,8 @@
 """The figures of README and of the papers, measured: one table and plot per study.
 
-A study is a function of ``Options`` and sizes that returns a ``Study``; ``STUDIES``
-lists them by name. Studies of the papers use simulated people. Studies of README's
-figures use recordings where there are any, and simulated people otherwise;
-``claims.toml`` lists the figures as README states them, and ``claims`` compares them
-with the measured ones.
+A study is a function of ``Options`` and sizes that returns a ``Study``. Studies of the
+papers use simulated people; those of README's figures use recordings where there are
+any. ``claims.toml`` lists the figures that ``claims`` compares with the measured ones.
 """
 
 import hashlib
@@ -79,10 +77,7 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def reproduce(name: str, options: Options, *, quick: bool = False) -> Study:
-    """Run a study, or with ``quick`` a small part of it; its figures then mean little.
-
-    Raises an InputError if the study is unknown, or if recordings are missing.
-    """
+    """Run a study, or a ``quick`` part of it; InputError if unknown or without data."""
     check_names([name])
     run, sizes = STUDIES[name]
     return run(options, **(sizes if quick else {}))

@@ -57,9 +57,9 @@ def chiang_tables_2_3(
     Unreliable samples are frames in which a joint of the arms or the one between the
     shoulders scores 0.7 or less, as in the paper. Errors are those of the arms' joints
     with all bodies at standard lengths; table 3 has them by joint, table 1 the numbers
-    of frames. A quarter as many people are tested as are in the training data. For
-    comparison, at most ``count`` recorded people perform all their movements: each is
-    left out of training in turn, and all are tested on new repetitions.
+    of frames. A quarter as many people are tested as learned from. For comparison, at
+    most ``count`` recorded people perform all their movements: each is left out of
+    training in turn, and all are tested on new repetitions.
     """
     names = [name for name, samples in _CHIANG_2_3 if samples == "all"][:motions]
     # A v2's thumbs leave too few frames with every joint reliable.
@@ -99,7 +99,6 @@ def _arms(
 
 
 def _arm_errors(chosen: Sequence[Flags], takes: Sequence[list[Array]]) -> list[float]:
-    """Return each motion's error [cm] in chosen frames, and the last one's by joint."""
     arms = [
         np.concatenate([part[k] for k, part in zip(chosen, parts, strict=True)])
         for parts in zip(*takes, strict=True)
@@ -120,12 +119,11 @@ def _unreliable(pair: PairedTake) -> Flags:
 def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
     """Split one movement's frames as the paper splits those of an exercise.
 
-    By the frame counts of its table 1, the paper trains on four in five reliable frames
-    and tests on the fifth, so that neighboring frames are on both sides (``frames at
-    random``). For comparison: new repetitions by the same people, and a person left
-    out, a different one in each movement. As in the paper, each movement has its own
-    process; every third of the first ``movements`` is measured. Errors are those of the
-    arms' joints at standard lengths.
+    By its frame counts, the paper trains on four in five reliable frames and tests on
+    the fifth, so that neighbors are on both sides (``frames at random``). For
+    comparison: new repetitions by the same people, and a person left out. As in the
+    paper, each movement has its own process; every third of the first ``movements`` is
+    measured. Errors are those of the arms' joints at standard lengths.
     """
     people = recorded_people(options.data)
     found: dict[str, list[list[Array]]] = {}
@@ -158,7 +156,6 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
 def _splits(
     clips: Sequence[PairedTake], person: str
 ) -> dict[str, tuple[list[PairedTake], list[PairedTake]]]:
-    """Return training clips, and every third of the test clips, by protocol."""
     rng, train, test = np.random.default_rng(0), list[PairedTake](), list[PairedTake]()
     for pair in clips:
         held_out = (rng.random(len(pair.take)) < _HELD_OUT)[:, None, None]
@@ -179,9 +176,9 @@ def chiang_figure_5(options: Options, *, people: int = 40, values: int = 7) -> S
     """Vary the number of centroids of the process, for one exercise.
 
     The paper tests on the people in its training data and assumes standard lengths;
-    here all people have their own. The paper plots its errors over Q without values;
-    its table 2 has those at Q = 800. An eighth as many people are tested as are in the
-    training data; ``values`` of Q are tried, from the smallest.
+    here all people have their own. It plots its errors over Q without values; its table
+    2 has those at Q = 800. An eighth as many people are tested as learned from;
+    ``values`` of Q are tried, from the smallest.
     """
     groups = simulated(options, _EXERCISE, learners=people, share=8, sensor="v1")
     frames = sum(len(pair.take) for group in groups for pair in group.tests)
@@ -216,14 +213,12 @@ def chiang_figure_7(options: Options, *, people: int = 16) -> Study:
     """Follow the left wrist through one exercise, and the left elbow through another.
 
     The paper's errors are those of all samples in its table 3, which has none for
-    Kinect. A quarter as many people are tested as are in the training data.
+    Kinect. A quarter as many people are tested as learned from.
     """
     liu, chiang = _SYSTEMS
-    traces = [
+    paths = [
         Trace(*followed, {"kinect": None, liu: liu_cm, chiang: chiang_cm})
         for followed, liu_cm, chiang_cm in _FOLLOWED
     ]
     title = "A wrist and an elbow during exercises (Chiang 2017, Figure 7)"
-    return trace_study(
-        options, title, traces, people=people, sensor="v1", standard=True
-    )
+    return trace_study(options, title, paths, people=people, sensor="v1", standard=True)

@@ -85,15 +85,11 @@ class Verdict:
     note: str = ""
 
     @property
-    def words(self) -> str:
-        """Last cell of the verdict's row in a table."""
-        return self.note if self.held is None else "yes" if self.held else "no"
-
-    @property
     def row(self) -> tuple[str, str, str, str]:
         """Cells of the verdict's row in a table."""
         measured = "" if self.measured is None else f"{self.measured:.4g}"
-        return self.claim.name, self.claim.figure, measured, self.words
+        held = self.note if self.held is None else "yes" if self.held else "no"
+        return self.claim.name, self.claim.figure, measured, held
 
 
 def judge(
@@ -101,28 +97,27 @@ def judge(
 ) -> list[Verdict]:
     """Compare the claims of some studies with the tables that they wrote to a folder.
 
-    Without ``recordings``, claims that require them are not judged. With ``quick``,
-    none are, because the studies ran on a small part of everything.
+    Claims that need recordings are judged with ``recordings`` only; ``quick`` studies
+    of a small part of everything decide none.
     """
-    claims = [claim for claim in read_claims() if claim.study in studies]
     tables = {name: _cells(folder / f"{name}.csv") for name in studies}
     verdicts = []
-    for claim in claims:
+    for claim in read_claims():
+        if claim.study not in studies:
+            continue
         cell = tables[claim.study].get((claim.row, claim.column), "")
         measured = float(cell) if cell else None
         if claim.recordings and not recordings:
-            verdict = Verdict(claim, None, None, "not measured: no recordings")
+            verdicts.append(Verdict(claim, None, None, "not measured: no recordings"))
         elif quick:  # rows may be missing, too
-            verdict = Verdict(claim, measured, None, "not judged: --quick")
+            verdicts.append(Verdict(claim, measured, None, "not judged: --quick"))
         else:
             held = measured is not None and claim.holds(measured)
-            verdict = Verdict(claim, measured, held)
-        verdicts.append(verdict)
+            verdicts.append(Verdict(claim, measured, held))
     return verdicts
 
 
 def _cells(path: Path) -> dict[tuple[str, str], str]:
-    """Return the cells of a study's table by row and column; none without the file."""
     if not path.is_file():
         return {}
     with path.open(encoding="utf-8", newline="") as file:

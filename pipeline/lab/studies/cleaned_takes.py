@@ -30,7 +30,7 @@ def cleaned_takes(options: Options, *, count: int = 1000) -> Study:
     """Clean every recorded take, and a simulated take of every motion, with defaults.
 
     Figures are those of ``clean --json`` after physics: mean over takes, and worst
-    take. Shares are relative to the same take before cleaning. At most ``count``
+    take; shares are relative to the same take before cleaning. At most ``count``
     recorded and ``count`` simulated takes are cleaned.
     """
     files, motions = recorded_takes(options.data)[:count], MOTIONS[:count]
@@ -98,10 +98,8 @@ def _figures(
 
 
 def _bent(positions: Array, skeleton: Skeleton) -> float:
-    """Return the share of seen hands that the wrist bends by over 60 degrees [%]."""
-    elbows, wrists, hands = (
-        positions[:, skeleton.sides(part)] for part in ("Elbow", "Wrist", "Hand")
-    )
+    sides = map(skeleton.sides, ("Elbow", "Wrist", "Hand"))
+    elbows, wrists, hands = (positions[:, pair] for pair in sides)
     cosine = np.vecdot(unit(wrists - elbows), unit(hands - wrists))
     seen = np.isfinite(cosine)
     bent = np.count_nonzero(cosine[seen] < np.cos(np.radians(60.0)))
@@ -118,10 +116,7 @@ def _beyond(clip: Clip) -> float:
 
 
 def _off(take: Take, positions: Array, truth: Array | None, before: int = 0) -> float:
-    """Return how far hands point off their true direction [degrees]; NaN if unknown.
-
-    With ``before``, hands are taken to point as the bone so many bones before them.
-    """
+    """Return how far hands, or bones some ``before``, point off the truth [degrees]."""
     if truth is None:
         return np.nan
     parts = [take.skeleton.sides(part) for part in ("Hand", "Wrist", "Elbow")]
@@ -133,7 +128,6 @@ def _off(take: Take, positions: Array, truth: Array | None, before: int = 0) -> 
 
 
 def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
-    """Return a figure's mean over takes and its worst value; None without takes."""
     known = [value for value in values if np.isfinite(value)]
     if not known:
         return None, None
@@ -141,7 +135,6 @@ def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
 
 
 def _sorted_takes(name: str, by_group: dict[str, list[float]]) -> Panel:
-    """Return a panel with a figure of every take, from smallest to largest."""
     lines = [
         Series(group, np.linspace(0.0, 100.0, len(values)).tolist(), sorted(values))
         for group, values in by_group.items()

@@ -24,11 +24,10 @@ _LASTING = 9  # frames, 0.3 s, for which a joint of a lost limb is far off
 def reliability(options: Options, *, takes: int = 12, movements: int = 10) -> Study:
     """Detect joints over 10 cm from the truth by their reliability alone.
 
-    Distances are those of limb joints relative to the middle of the hips, as in
-    ``evaluate``. The area under the ROC curve is 1 if every joint that is far off is
-    less reliable than every other joint, and 0.5 by chance. It is measured on ``takes``
-    of each class of Table IV and, with recordings, on clips of the first ``movements``
-    beside marker mocap.
+    The area under the ROC curve is 1 if every limb joint that is far off, as in
+    ``evaluate``, is less reliable than every other joint, and 0.5 by chance. It is
+    measured on ``takes`` of each class of Table IV and, with recordings, on clips of
+    the first ``movements`` beside marker mocap.
     """
     pairs = {kind: study_takes(kind, options, count=takes) for kind in CLASSES}
     whole = [pair for part in pairs.values() for pair in part]
@@ -56,10 +55,9 @@ def failures(options: Options, *, count: int = 1000, movements: int = 10) -> Stu
     """Count takes with a detected failure, among takes with gross failures and without.
 
     Those without are clips beside marker mocap in which no elbow, wrist, knee or ankle
-    is over 20 cm off for 0.3 s, relative to the middle of the hips. Without recordings,
-    simulated people stand in for these clips, and there are no takes with failures. At
-    most ``count`` takes of each group and ``count`` people in their first ``movements``
-    are used.
+    is over 20 cm off for 0.3 s, relative to the middle of the hips; without recordings,
+    simulated ones, and no takes with failures. At most ``count`` takes of each group
+    and ``count`` people in their first ``movements`` are used.
     """
     files, progress = recorded_takes(options.data), options.progress
     failed = [file for file in files if file.stem.endswith("_failure")][:count]
@@ -91,7 +89,6 @@ def _kinds(take: Take) -> set[FailureKind]:
 
 
 def _near(pair: PairedTake) -> bool:
-    """Return True if no limb is far from the mocap for long."""
     joints = [LIMBS.index(j + side) for j in _JOINTS for side in ("Left", "Right")]
     distances = Accuracy(pair.take.skeleton).distances(pair.take.positions, pair.truth)
     # Axes: time, arm or leg, joint of the limb, side.

@@ -40,8 +40,7 @@ _GAP = "55%"
 _EVERY = 20  # one in this many clips is tested
 Errors = dict[str, dict[str, float]]  # [cm] by method and situation
 Turn = tuple[float, float]  # tilt and roll [rad] by which a motion was leveled
-Runner = Callable[[Take], tuple[Array, Turn]]
-"""Function from a take to joint positions [m] and the turn that leveled them."""
+Runner = Callable[[Take], tuple[Array, Turn]]  # to joint positions [m], leveled
 
 
 def hidden_limb_errors(
@@ -60,10 +59,9 @@ def hidden_limb_errors(
     Means are over frames, joints and clips, then over people. Each person is tested
     with a limb of every twentieth clip hidden, by systems trained on the others, with
     nothing hidden. ``known people`` are in the training data with repetitions 1 to 7
-    and are tested on 8 to 10. Errors are those of the hidden joints in the frames in
-    which they are hidden; with ``all joints``, of all limb joints in those frames; for
-    ``seen``, of all limb joints in the whole clip. ``none`` is ``clean --method none``
-    without physics; it looks ahead and bridges gaps from both ends.
+    and are tested on 8 to 10. Errors are those of the hidden joints while they are
+    hidden; with ``all joints``, of all limb joints then; for ``seen``, of all limb
+    joints in the whole clip. ``none`` is ``clean --method none`` without physics.
 
     ``methods`` and ``presets`` are as for ``systems_of``. With ``whole``, complete
     clips from ``clean`` are measured instead of the corrected joints; ``guesses`` is a
@@ -95,16 +93,15 @@ def _errors_on(
     train: Sequence[PairedTake],
     test: Sequence[PairedTake],
 ) -> Errors:
-    """Return the errors on test clips of systems trained on others."""
     trainer, prior = CorrectorFactory(train), train_prior_on(train)
-    none = _cleaned(CleanConfig("none", physics=False), None, prior)
+    none = _whole(CleanConfig("none", physics=False), None, prior)
     runners: dict[str, Runner] = {"raw": _raw, "none": none}
     for system in systems:
         corrector = trainer.corrector(system)
         runners[system.label] = (
-            _cleaned(system.config, corrector, prior)
+            _whole(system.config, corrector, prior)
             if whole
-            else partial(_unleveled, correction(system.config, corrector))
+            else _unleveled(correction(system.config, corrector))
         )
     return {name: _means(test, run, guesses) for name, run in runners.items()}
 
@@ -114,10 +111,8 @@ def _raw(take: Take) -> tuple[Array, Turn]:
     return Hold(take.skeleton).fill(take.positions), (0.0, 0.0)
 
 
-def _cleaned(
-    config: CleanConfig, corrector: Corrector | None, prior: MotionPrior
-) -> Runner:
-    cleaner = with_prior(Cleaner(config, corrector=corrector), config, prior)
+def _whole(config: CleanConfig, method: Corrector | None, prior: MotionPrior) -> Runner:
+    cleaner = with_prior(Cleaner(config, corrector=method), config, prior)
 
     def run(take: Take) -> tuple[Array, Turn]:
         clip = cleaner.clean(take).clip
@@ -126,14 +121,13 @@ def _cleaned(
     return run
 
 
-def _unleveled(run: Callable[[Take], Array], take: Take) -> tuple[Array, Turn]:
-    return run(take), (0.0, 0.0)
+def _unleveled(run: Callable[[Take], Array]) -> Runner:
+    return lambda take: (run(take), (0.0, 0.0))
 
 
 def _means(
     clips: Sequence[PairedTake], run: Runner, guesses: Collection[str] = tuple(GUESSES)
 ) -> dict[str, float]:
-    """Return the errors [cm] on some clips, by situation."""
     found: dict[str, list[float]] = {}
     for k, pair in enumerate(clips):
         take, skeleton = pair.take, pair.take.skeleton

@@ -25,9 +25,9 @@ def held_box(options: Options, *, count: int = 20) -> Study:
     """Count lifted boxes, and those put down where the performer did.
 
     Each of ``count`` performers lifts an imaginary box of another size and place than
-    the scene's: from the floor back to it (lift_box), or onto the table beside them
-    (store_box). Physics gets the performance without errors, or as a Kinect v2 saw it.
-    In the rows of the rival, the hands go where the performer's do and hold nothing.
+    the scene's: from the floor back to it, or onto the table beside them. Physics gets
+    the performance without errors, or as a Kinect v2 saw it. In the rows of the rival,
+    the hands go where the performer's do and hold nothing.
     """
     first = _SEED + 1000 * options.seed
     rows: list[list[Cell]] = []
@@ -61,8 +61,7 @@ def held_box(options: Options, *, count: int = 20) -> Study:
 
 
 def _figures(take: Take, end: tuple[float, float], *, holds: bool) -> dict[str, float]:
-    loose = mock.patch.object(world, "add_ties")
-    with nullcontext() if holds else loose:
+    with nullcontext() if holds else mock.patch.object(world, "add_ties"):
         result = clean(take, CleanConfig(scene="box"))
     (box,) = (prop for prop in result.clip.props if prop.name == "box")
     heights = box.positions[:, 1]

@@ -86,8 +86,8 @@ def liu_figure_3(options: Options, *, people: int = 8, values: int = 4) -> Study
 
     There are 1120 samples, as in the paper, where 681 of them do about as well. They
     are dropped joint by joint: the count is the mean over joints. Errors are those of
-    the predicted offsets alone. Half as many people are tested as walk in the training
-    data; ``values`` of the thresholds are tried, from the one that drops nothing.
+    the predicted offsets alone. Half as many people are tested as learned from;
+    ``values`` of the thresholds are tried, from the one that drops nothing.
     """
     groups = simulated(options, _WALKING, learners=people, share=2)
     rows: list[Row] = []
@@ -119,9 +119,8 @@ def liu_table_2(options: Options, *, people: int = 10, motions: int = 8) -> Stud
 
     It starts from as many frames as the paper's table has for Shen's exemplars, and
     drops those that the preset's redundancy allows. Each motion has its own database,
-    as in the table, though the paper's local models need none. Errors are those of the
-    predicted offsets alone. A tenth as many people are tested as are in the training
-    data.
+    though the paper's local models need none. Errors are those of the predicted offsets
+    alone. A tenth as many people are tested as learned from.
     """
     rows: list[Row] = []
     names = [*_LIU_2][:motions]
@@ -142,8 +141,7 @@ def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study
     """Compare local processes with exemplars and full processes, motion by motion.
 
     The paper does not say who was tested, and times whole systems, with locality and
-    without. An eighth as many people are tested as are in the training data. The study
-    ``presets`` has the same systems on recorded people and hidden limbs.
+    without. An eighth as many people are tested as learned from.
     """
     names = [*_LIU_3][:motions]
     found: dict[str, list[list[Array]]] = {}
@@ -186,7 +184,7 @@ def liu_table_4(
     """Correct the output of a tracker of depth images, with people in five folds.
 
     As in the paper, a forest classifies body parts and mean shift locates joints in
-    them (``forest``). It was trained on other bodies that perform the same scripts. The
+    them (``forest``); it learned from other bodies that perform the same scripts. The
     preset is trained on the same images of the people in the other four folds. The last
     row has ``clips`` movements of each recorded person, with the marker mocap seen by
     the same tracker and each person left out in turn.
@@ -237,10 +235,10 @@ def _folds(
 def liu_figure_7(options: Options, *, people: int = 8, values: int = 4) -> Study:
     """Vary the samples per local model, S, and the number of blended models, L.
 
-    The paper's figure is printed without values; the paper chooses S = 50 and L = 9,
-    beyond which its error hardly falls. Errors are those of the preset without learning
-    from the takes. A quarter as many people are tested as are in the training data;
-    ``values`` of S and of L are tried, from the smallest.
+    The paper's figure has no values; the paper chooses S = 50 and L = 9, beyond which
+    its error hardly falls. The preset does not learn from the takes. A quarter as many
+    people are tested as learned from; ``values`` of S and of L are tried, from the
+    smallest.
     """
     groups = simulated(options, _HARD, learners=people)
     rows: list[Row] = []
@@ -267,7 +265,7 @@ def liu_figure_8(options: Options, *, people: int = 16) -> Study:
 
     The paper follows the hand, which the sensor's trackers place arbitrarily. The last
     row is that of the predicted offsets alone. A quarter as many people are tested as
-    are in the training data.
+    learned from.
     """
     paper = {"kinect": 12.36, _OFFLINE: 8.1, "liu-2016": 7.7, _OFFSETS_ALONE: None}
     trace = Trace("golf_swing", "WristLeft", paper)
@@ -280,10 +278,10 @@ def liu_table_5(
 ) -> Study:
     """Leave out terms of the energy where the sensor is unsure of a limb.
 
-    The motions are simulated tai chi, bending over and crossing arms, as in the paper;
-    half as many people are tested as are in the training data. For comparison, at most
-    ``count`` recorded people are tested with a limb hidden, on every twentieth clip and
-    at most ``clips``. The preset is the paper's, without learning from the takes.
+    The motions are those of the paper, simulated; half as many people are tested as
+    learned from. For comparison, at most ``count`` recorded people are tested with a
+    limb hidden, on every twentieth clip and at most ``clips``. The preset is the
+    paper's, without learning from the takes.
     """
     groups = simulated(options, _HARD, learners=people, share=2)
     presets = {f"{_OFFLINE}{left_out}": name for name, (left_out, _) in _TERMS.items()}
@@ -294,10 +292,8 @@ def liu_table_5(
     for who in ("new", "known"):
         situations[f"simulated {who} people"] = {n: e[who] for n, e in found.items()}
     if options.data is not None:
-        hidden = hidden_limb_errors(
-            options, presets=[*presets], count=count, most=clips
-        )
-        for label, error in hidden.items():
+        limbs = hidden_limb_errors(options, presets=[*presets], count=count, most=clips)
+        for label, error in limbs.items():
             for where, value in error.items():
                 row = situations.setdefault(f"recorded, {where}", {})
                 row[presets.get(label, label)] = value

@@ -46,10 +46,10 @@ def methods_new_people(
 ) -> Study:
     """Test every method on each person, trained on all the others.
 
-    As ``kinefilter evaluate --train PEOPLE --mocap-database``: ``local-pca`` searches
-    the others' mocap. Errors are means over frames and joints, then over people. One in
-    five clips is tested, through the whole cleaner. Without recordings, simulated
-    people stand in. At most ``count`` people in their first ``movements`` are used.
+    As ``kinefilter evaluate --train PEOPLE --mocap-database``. Errors are means over
+    frames and joints, then over people. One in five clips is tested, through the whole
+    cleaner. Without recordings, simulated people stand in. At most ``count`` people in
+    their first ``movements`` are used.
     """
     people = recorded_people(options.data)[:count]
     quiet = replace(options, progress=silent)  # worker processes show no progress
@@ -68,9 +68,8 @@ def methods_known_people(
 ) -> Study:
     """Test every method on new repetitions by the people in its training data.
 
-    As ``kinefilter evaluate --train PEOPLE --protocol repetitions``: methods are
-    trained on repetitions 1 to 7 and tested on 8 to 10; ``local-pca`` searches the
-    built-in database. Otherwise like ``methods_new_people``.
+    As ``kinefilter evaluate --train PEOPLE --protocol repetitions``. Otherwise like
+    ``methods_new_people``.
     """
     people, progress = recorded_people(options.data)[:count], options.progress
     clips = clips_of(people, movements, options)
@@ -84,10 +83,8 @@ def methods_known_people(
 def _on_person(
     people: Sequence[str], movements: int, options: Options, name: str
 ) -> dict[str, _People]:
-    """Return the errors of methods on one person, trained on the others."""
     test = clips_of([name], movements, options)[::_EVERY]
-    others = [other for other in people if other != name]
-    train = clips_of(others, movements, options)
+    train = clips_of([other for other in people if other != name], movements, options)
     return _errors(evaluate(train, test, _METHODS, database="mocap"))
 
 
@@ -96,7 +93,6 @@ def _errors(figures: dict[str, Any]) -> dict[str, _People]:
 
 
 def _study(title: str, errors: dict[str, _People]) -> Study:
-    """Return errors, and their changes relative to raw: means and worst person."""
     by_method = {
         method: np.array(
             [[found[person][key] for key in _ERRORS] for person in errors["raw"]]
@@ -120,12 +116,11 @@ def presets(options: Options, *, count: int = 1000, clips: int = 1000) -> Study:
     """Test the papers' systems beside methods, on recorded people and hidden limbs.
 
     Errors are those of clips from ``clean``: ``all_cm`` with nothing hidden,
-    ``hidden_cm`` of the joints of a limb in the frames in which the sensor guesses it
-    (it drifts at 20 cm/s) or does not see it. Each person is left out of training in
-    turn; ``known`` are new repetitions by people in the training data, to whom the
-    papers' reductions refer. At most ``count`` people take part, with ``clips`` each.
-    The process over all samples uses a bound on its variance, in a fiftieth of the
-    time.
+    ``hidden_cm`` of the joints of a limb while the sensor guesses it (it drifts at 20
+    cm/s) or does not see it. Each person is left out of training in turn; ``known`` are
+    new repetitions by people in the training data, to whom the papers' reductions
+    refer. At most ``count`` people take part, with ``clips`` each. The process over all
+    samples uses a bound on its variance, in a fiftieth of the time.
     """
     named = [_BOUND if name == "zhou-2014" else name for name in PRESETS]
     found = hidden_limb_errors(

@@ -48,11 +48,7 @@ _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 
 
 def write_study(name: str, study: Study, folder: Path) -> tuple[Path, Path]:
-    """Write ``NAME.csv`` and ``NAME.png`` to a folder, and return their paths.
-
-    Older files are replaced when both new ones are complete. Raises an InputError if
-    the folder cannot be created, or if matplotlib is not installed.
-    """
+    """Write ``NAME.csv`` and ``NAME.png``, or InputError; return their paths."""
     make_folder(folder)
     table, plot = folder / f"{name}.csv", folder / f"{name}.png"
     with atomic_path(table) as new_table, atomic_path(plot) as new_plot:
@@ -123,7 +119,6 @@ def _draw_panel(panel: Panel, axis: Axes) -> None:
 
 
 def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> None:
-    """Draw bar number ``k`` out of ``count`` in every group."""
     groups = np.arange(len(series.x), dtype=float)
     width = _BARS / count
     centers = groups + (k - (count - 1) / 2.0) * width
@@ -138,10 +133,7 @@ def _draw_bars(axis: Axes, series: Series, color: str, k: int, count: int) -> No
 def make_pictures(
     folder: Path, *, data: Path | None = None, progress: Progress = silent
 ) -> Iterator[str]:
-    """Make README's animations in an existing folder, and yield a line on each result.
-
-    They need OpenGL, and that of a hidden arm also recordings.
-    """
+    """Make README's animations (OpenGL, recordings), and yield a line on each."""
     path = folder / "raw_beside_cleaned.gif"
     try:
         _animate(clean(read_take(SAMPLE)).clip, path, progress, compare=SAMPLE)
@@ -209,8 +201,7 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         look |= {"start": begin, "to": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):
             pictures = Path(folder) / str(k)
-            shown_clip = cleaner.clean(shown).clip
-            _animate(shown_clip, pictures / "%05d.png", progress, **look)
+            _animate(cleaner.clean(shown).clip, pictures / "%05d.png", progress, **look)
             columns.append([imread(f) for f in sorted(pictures.glob("*.png"))])
     frames = [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
     coded = [(encode_png((255 * f[..., :3]).astype(np.uint8)), True) for f in frames]

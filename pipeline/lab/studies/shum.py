@@ -76,8 +76,7 @@ def shum_tables_1_2(options: Options, *, people: int = 4, takes: int = 12) -> St
 
     The spread is the standard deviation of a joint's position in a take, on the
     standard body in the heading frame: its mean over takes, for the joints of the arms
-    and of the legs. The motions are those in the database; the scenes are recorded by a
-    virtual Kinect.
+    and of the legs. The scenes are recorded by a virtual Kinect.
     """
     first, rows = first_person(options.seed), list[Row]()
     performers = range(first, first + people)
@@ -124,9 +123,9 @@ def shum_table_3(options: Options, *, motions: int = 10) -> Study:
 
     The paper's figure is that of the posture of least energy in the natural posture
     space (``difference_cm``), which moves the given joints too; the shipped correction
-    keeps them where they are (``joints_kept_cm``). Both motions have the segment
-    lengths of the standard body, and the body's position and heading are removed in
-    every setup. Each of the ``motions`` is by another person.
+    keeps them (``joints_kept_cm``). Both motions have the segment lengths of the
+    standard body, without its position and heading. Each of the ``motions`` is by
+    another person.
     """
     database, first = builtin_database(KINECT_V1), first_person(options.seed)
     names = enumerate(_DATABASE_MOTIONS[:motions])
@@ -171,9 +170,9 @@ def _errors(postures: Array, reliability: Array, method: LocalPCA) -> Array:
 def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
     """Return each segment's error relative to its parent joint [m], shape (T, S).
 
-    Shum 2013, eq. 18, is the mean of these over frames and segments; it ignores where
-    the whole body is. NaN where a joint of the segment is missing in either motion. The
-    motions [m], shape (T, J, 3), have the same frames and orientation.
+    Shum 2013, eq. 18, is their mean over frames and segments. NaN where a joint of the
+    segment is missing in either motion. The motions [m], (T, J, 3), have the same
+    frames and orientation.
     """
     ends, starts = skeleton.segments, skeleton.segment_parents
     offsets = one - other
@@ -183,9 +182,8 @@ def bone_errors(one: Array, other: Array, skeleton: Skeleton) -> Array:
 def shum_table_4(options: Options, *, takes: int = 12) -> Study:
     """Clean ``takes`` of each class of movement, and compare them with the truth.
 
-    Takes are cleaned as by ``clean`` without options, and compared in their own frame.
-    Each motion has its own segment lengths: as recorded, as cleaned, or true. Raw and
-    reconstructed motion are compared over the segments that the raw one has.
+    Takes are compared in their own frame, each motion with its own segment lengths: as
+    recorded, as cleaned, or true, over the segments that the raw one has.
     """
     rows: list[Row] = []
     for kind in CLASSES:
@@ -221,10 +219,10 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
 
     The paper's search samples (``stochastic``); kinefilter's ``solver`` has neither
     steps nor samples, and is a level in their panels. Energy is that of the posture
-    found (lower is better; the paper plots a score, which rises). The error is eq. 18
-    of that posture alone, with the person's own segment lengths. Time covers neighbors,
-    posture space and search, as the median over frames. At most ``values`` of each
-    parameter are tried, on ``motions`` takes of 2 s.
+    found (the paper plots a score, which rises). The error is eq. 18 of that posture
+    alone, with the person's own segment lengths. Time covers neighbors, posture space
+    and search, as the median over frames. At most ``values`` of each parameter are
+    tried, on ``motions`` takes of 2 s.
     """
     first, progress = first_person(options.seed), options.progress
     takes = [
@@ -263,13 +261,11 @@ def shum_figure_8(options: Options, *, motions: int = 5, values: int = 7) -> Stu
 
 
 def _spread(choices: Sequence[int], count: int) -> list[int]:
-    """Return evenly spread choices, including the first."""
     count = min(count, len(choices))
     return [choices[k * len(choices) // count] for k in range(count)]
 
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
-    """Return databases of scripted postures, filtered to about the given sizes."""
     shipped, found = builtin_database(KINECT_V1), dict[int, PostureDatabase]()
     parts: list[Any] = [("shipped", shipped.positions, shipped.rotations)]
     for size in over(sorted(sizes), "filter", progress):
@@ -279,19 +275,16 @@ def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase
     return found
 
 
-def _measure(
-    method: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]
-) -> list[float]:
-    """Return energy [m^2], error [cm] and time per frame [ms]."""
+def _measure(pca: LocalPCA, takes: Sequence[tuple[PairedTake, Draft]]) -> list[float]:
     energies, seconds, errors = [], [], []
     for pair, draft in takes:
-        method.start()
+        pca.start()
         postures = draft.standard.copy()
         for k in range(min(_FRAMES, len(postures))):
             start = perf_counter()
-            postures[k] = method.synthesize(draft.standard[k], draft.reliability[k])[0]
+            postures[k] = pca.synthesize(draft.standard[k], draft.reliability[k])[0]
             seconds.append(perf_counter() - start)
-            energy = method.energy
+            energy = pca.energy
             found = energy.space.project(postures[k].ravel())
             energies.append(energy.constant + float(energy(found[None])[0][0]))
         positions = Standardizer(draft.body).undo(postures, draft.heading)
@@ -301,7 +294,6 @@ def _measure(
 
 
 def _panel(rows: Sequence[Row], name: str, column: int, label: str) -> Panel:
-    """Return a panel of both searches over the values of a parameter."""
     lines = []
     for search in ("stochastic", "solver"):
         own = [row for row in rows if (row[0], row[2]) == (name, search)]

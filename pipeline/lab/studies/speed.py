@@ -19,8 +19,7 @@ from .study import Options, Panel, Study, series_of
 from .study_takes import standardized
 
 Postures = NDArray[np.float32]
-_Query = tuple[Array, Array]
-"""A posture [m], shape (J, 3), and the reliabilities of its joints, shape (J,)."""
+_Query = tuple[Array, Array]  # a posture (J, 3) [m], and reliabilities (J,)
 _STAGES = ("reliability", "correct", "orientation", "physics", "total")
 _SIZES = (2_500, 10_000, 40_000, 160_000, 1_000_000)
 _PEOPLE = 78  # they perform a million postures
@@ -35,9 +34,8 @@ _REPEATS = 3  # the fastest counts
 def speed(options: Options, *, rounds: int = 3) -> Study:
     """Time every stage on the sample take, frame by frame on one core.
 
-    Figures are medians of ``kinefilter bench`` over ``rounds``. Ratios are formed
-    within a round, because a machine's speed varies from minute to minute. The take is
-    always the same, so the seed has no effect.
+    Figures are medians of ``kinefilter bench`` over ``rounds``; ratios are formed
+    within a round, because a machine's speed varies. The seed has no effect.
     """
     runs = [_figures() for _ in options.progress("time", rounds)]
     medians = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
@@ -69,10 +67,9 @@ def million_postures(
 ) -> Study:
     """Find the nearest postures of frames of simulated Kinect takes.
 
-    The postures are those of scripted performances by ``people``, stored on disk as
-    when a database is built; the takes are of other people. ``values`` of the sizes are
-    searched, from the smallest. Every tenth answer is compared with the distances of
-    all postures in double precision.
+    The postures are those of scripted performances by ``people``; the takes are of
+    others. ``values`` of the sizes are searched, from the smallest. Every tenth answer
+    is compared with the distances of all postures in double precision.
     """
     queries = _queries(_FIRST + options.seed)
     postures = _postures(people, options.progress)
@@ -96,7 +93,6 @@ def million_postures(
 
 
 def _postures(people: int, progress: Progress) -> Postures:
-    """Return the postures [m] of some people in random order, shape (N, J, 3)."""
     spool = Spool(np.float32)
     for _, positions, _ in scripted_postures(KINECT_V1, progress, people=people):
         spool.add(positions)
@@ -105,7 +101,6 @@ def _postures(people: int, progress: Progress) -> Postures:
 
 
 def _queries(first: int) -> list[_Query]:
-    """Return what a simulated Kinect v1 sees of people who are not in the database."""
     queries: list[_Query] = []
     for k, motion in enumerate(_MOTIONS):
         draft = standardized(simulate("basic", motion, sensor="v1", seed=first + k))
@@ -114,7 +109,6 @@ def _queries(first: int) -> list[_Query]:
 
 
 def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
-    """Return a search by one matrix product with all postures, then the smallest."""
     squares = np.sum(postures**2, axis=2)
     flat = postures.reshape(len(postures), -1)
     products = np.concatenate([squares, -2.0 * flat], axis=1)
@@ -132,7 +126,6 @@ def _product_search(postures: Postures) -> Callable[[_Query], NDArray[np.intp]]:
 def _milliseconds(
     find: Callable[[_Query], object], queries: Sequence[_Query]
 ) -> list[float]:
-    """Return the median and the 99th percentile of the queries' times [ms]."""
     times = np.empty((_REPEATS, len(queries)))
     for repeat in range(_REPEATS):
         for k, query in enumerate(queries):
@@ -143,7 +136,6 @@ def _milliseconds(
 
 
 def _exact(index: PostureIndex, postures: Postures, queries: Sequence[_Query]) -> float:
-    """Return the share of exact answers [%] among every tenth query."""
     exact = []
     for posture, reliability in queries[::_CHECKED]:
         distances = np.zeros(len(postures))

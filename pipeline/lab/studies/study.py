@@ -11,8 +11,7 @@ from kinefilter.pipeline.progress import Progress, silent
 
 Cell = str | int | float | None  # of a table; None if it is empty
 Row = tuple[Cell, ...]
-Kind = Literal["line", "bars", "level"]
-"""How a series is drawn; a level is a horizontal line across the whole panel."""
+Kind = Literal["line", "bars", "level"]  # a level is a line across the panel
 
 
 @dataclass(frozen=True)

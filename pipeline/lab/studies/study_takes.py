@@ -1,8 +1,7 @@
 """The takes of the studies: recordings where there are any, and simulated people.
 
-Simulated people in tests do not occur in any training data: the built-in database draws
-its people from seeds below 10, test takes use seeds from 1000 up, and the training data
-of a study seeds that are 500 higher than those of its test takes.
+Simulated people in tests are in no training data: the built-in database draws people
+from seeds below 10, test takes from 1000 up, and training data from 500 higher.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,8 +20,7 @@ from kinefilter.pipeline.progress import Progress, over, silent
 
 from .study import Options
 
-RECORDINGS = Path("../shared/data")
-"""Default folder of recordings, which are not part of kinefilter."""
+RECORDINGS = Path("../shared/data")  # default folder; not part of kinefilter
 _PEOPLE = 1000  # first seed of a study's people; also the distance between studies
 _AGAIN = 1_000_000  # added to a person's seed for another performance
 _LEARNERS = 500  # added to the seeds of people in the training data
@@ -31,8 +29,7 @@ _STAND_INS = 4  # simulated people in place of recorded ones
 _MOVEMENTS = ("squat", "side_lunge", "raise_arms")  # theirs, as in rehabilitation
 _REPETITIONS = 10  # of each movement, as in the recordings
 
-Setting = tuple[str, str, str]
-"""What is recorded: one of SCENES, one of MOTIONS and one of SENSORS."""
+Setting = tuple[str, str, str]  # one of SCENES, of MOTIONS and of SENSORS
 
 
 def _settings(listed: str) -> list[Setting]:
@@ -69,11 +66,7 @@ def first_person(seed: int, *, learners: bool = False) -> int:
 
 
 def study_takes(kind: str, options: Options, *, count: int = 12) -> list[PairedTake]:
-    """Return takes of a class with their ground truth, each of a different person.
-
-    The truth has the person's own proportions. Fewer than 12 takes are spread evenly
-    over the class.
-    """
+    """Return takes of a class with their ground truth, each of a different person."""
     settings = CLASSES[kind]
     first = first_person(options.seed) + len(settings) * list(CLASSES).index(kind)
     chosen = [k * len(settings) // count for k in range(min(count, len(settings)))]
@@ -106,10 +99,7 @@ def _recorded(setting: Setting, seed: int, person: int) -> PairedTake:
 
 
 def recordings_folder(data: Path | None) -> Path | None:
-    """Return the given folder, or the default one; None if that does not exist.
-
-    Raises an InputError if the given folder does not exist.
-    """
+    """Return the given folder, or InputError; without, the default one if it exists."""
     if data is None:
         return RECORDINGS if RECORDINGS.is_dir() else None
     if not data.is_dir():

@@ -44,12 +44,9 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
     The virtual Kinect's two trackers record the mocap of three people, ``clips`` of
     each, beside a real Kinect v2. Neither the people nor their movements were in the
     training data of the tracker of depth images; the size of the model's errors was
-    adjusted by hand to these three people. Errors are relative to the middle of the
-    hips: the constant offset over a clip; the moving rest (root mean square, and the
-    time after which its autocorrelation is below 1/e); how often that rest is over 7
-    cm; its correlation with the real Kinect's in the same frames; and the share of
-    joints that are inferred, which the recordings do not have. Without recordings,
-    simulated people perform scripted motions.
+    adjusted by hand to these people. The figures are those of ``error_figures`` and the
+    share of joints that are inferred, which the recordings do not have. Without
+    recordings, simulated people perform scripted motions.
     """
     pairs = _acts(options, clips)
     recorded = {_RECORDED: pairs} if options.data is not None else {}
@@ -83,7 +80,6 @@ def tracker_errors(options: Options, *, clips: int = 16) -> Study:
 
 
 def _acts(options: Options, clips: int) -> list[Pair]:
-    """Return movements in front of the sensor, with the recordings if there are any."""
     if options.data is not None:
         files = [options.data / "ui-prmd" / f"{person}.npz" for person in _TEST_PEOPLE]
         return [p for file in files for p in pairs_of(file, max(_CLIPS // clips, 1))]
@@ -96,7 +92,6 @@ def _acts(options: Options, clips: int) -> list[Pair]:
 
 
 def _error(pair: Pair) -> Array:
-    """Return errors relative to the middle of the hips [m], shape (T, J, 3)."""
     error = pair.error
     return np.asarray(error - error[:, KINECT_V1.hips].mean(axis=1, keepdims=True))
 
@@ -150,12 +145,12 @@ def tracker_lessons(
 ) -> Study:
     """Train the method learned on simulated takes, and test it on recorded people.
 
-    Each simulated person performs another motion of the library on a bare floor. Both
-    trackers record the same performances; ``perfect`` records the truth, and with
-    ``offsets off`` each joint's constant offset over a take is removed from the
-    training data. Three people whom the error model was not fitted to are tested,
-    ``clips`` of each, through ``clean`` without physics. The last rows also train on
-    the three other people. Without recordings, simulated people stand in.
+    Each simulated person performs another motion on a bare floor. Both trackers record
+    the same performances; ``perfect`` records the truth, and with ``offsets off`` each
+    joint's constant offset over a take is removed from the training data. Three people
+    whom the error model was not fitted to are tested, ``clips`` of each, through
+    ``clean`` without physics. The last rows also train on the three other people.
+    Without recordings, simulated people stand in.
     """
     known, test = _people(options, clips)
     skeleton = test[0].take.skeleton
@@ -189,7 +184,6 @@ def tracker_lessons(
 
 
 def _people(options: Options, clips: int) -> tuple[list[PairedTake], list[PairedTake]]:
-    """Return training clips and test clips."""
     people = recorded_people(options.data)
     held_out = [p for p in people if p in _TEST_PEOPLE] or people[len(people) // 2 :]
     known = clips_of([p for p in people if p not in held_out], 10, options)
@@ -209,7 +203,6 @@ def _without_offsets(pair: PairedTake) -> PairedTake:
 def _train_and_test(
     pairs: list[PairedTake], simulated: list[PairedTake], test: list[PairedTake]
 ) -> tuple[float, float]:
-    """Return E and E_var [cm] after training on pairs; without any, uncorrected."""
     skeleton = test[0].take.skeleton
     config = CleanConfig("learned" if pairs else "none", physics=False)
     if pairs:

@@ -37,21 +37,14 @@ class Group:
         return Accuracy(self.tests[0].take.skeleton)
 
     def runners(self, presets: Sequence[str]) -> list[Callable[[Take], Array]]:
-        """Return functions from a take to joint positions [m].
-
-        The first returns the raw positions, the others are those of the presets.
-        """
+        """Return functions from a take to joints [m]: raw, then the presets'."""
         runners: list[Callable[[Take], Array]] = [lambda take: take.positions]
         for system in systems_of((), presets):
             runners.append(correction(system.config, self.trainer.corrector(system)))
         return runners
 
     def error(self, preset: str | None) -> list[Array]:
-        """Return distances of limb joints [m] (Liu eq. 23-25) for each take.
-
-        They are relative to the middle of the hips, at the person's own segment
-        lengths. Without a preset, they are those of the raw take.
-        """
+        """Return distances of limb joints [m] (Liu eq. 23-25); None: raw."""
         run = self.runners([preset] if preset else [])[-1]
         return [self.accuracy.distances(run(p.take), p.truth) for p in self.tests]
 
@@ -73,8 +66,7 @@ def simulated(
     """Return simulated people, in a group new to the systems and a known one.
 
     Known people are in the training data, and perform the motions again for the test.
-    Each group has one person per ``share`` learners. The papers do not mention people
-    who were held out.
+    Each group has one person per ``share`` learners.
     """
     first, new = (first_person(options.seed, learners=flag) for flag in (True, False))
     testers, progress = max(learners // share, 1), options.progress
@@ -91,8 +83,7 @@ def recorded(options: Options, *, every: int, count: int = 1000) -> Iterator[Gro
     """Yield each recorded person, left out of training, then new repetitions of all.
 
     One in ``every`` clips of at most ``count`` people is tested. The groups are named
-    like the simulated ones, with ``recorded`` in front. Without recordings there are
-    none.
+    like the simulated ones, with ``recorded`` in front.
     """
     people = recorded_people(options.data)[:count] if options.data else []
     for who, train, test in recorded_folds(people, options):

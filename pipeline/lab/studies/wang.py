@@ -14,19 +14,13 @@ from kinefilter.pipeline.pairs import PairedTake
 from .study import Options, Panel, Row, Study, series_of
 from .study_takes import clips_of, first_person, performed_by, recorded_people
 
-_WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}
-"""Seconds by frames."""
+_WANG_1 = {241: 0.6190, 463: 0.8001, 1245: 1.1470, 1423: 1.3740}  # seconds by frames
 _RANK = 5  # of the paper's dance, read off figure 1
-_SMALL = 0.01
-"""Share of the largest singular value below which others do not count toward the rank.
-A guess, because the paper does not give one."""
+_SMALL = 0.01  # share of the largest singular value that counts for the rank: a guess
 
 
 def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
-    """Time the recovery of takes of the paper's lengths, in seconds of one core.
-
-    People dance one after the other in front of a virtual Kinect v2.
-    """
+    """Time the recovery of dances of the paper's lengths, in seconds of one core."""
     lengths = [*_WANG_1][:sizes]
     (system,) = systems_of((), ["wang-low-rank"])
     dances = _dances(options, max(lengths))
@@ -48,7 +42,6 @@ def wang_table_1(options: Options, *, sizes: int = 4) -> Study:
 
 
 def _dances(options: Options, frames: int) -> list[PairedTake]:
-    """Return takes of people who dance, with at least as many frames in all."""
     first, dances = first_person(options.seed), list[PairedTake]()
     while sum(len(pair.take) for pair in dances) < frames:
         person = first + len(dances)
@@ -61,8 +54,8 @@ def wang_figure_1(options: Options, *, frames: int = 1423) -> Study:
 
     People dance in front of a virtual Kinect v2, for as many frames as in the paper;
     for comparison, as many frames of the first recorded person's clips. Both are taken
-    as recorded, and as the preset processes them: in the heading frame. The rank is the
-    number of values of at least 1 % of the largest.
+    as recorded, and in the heading frame, as the preset does. The rank is the number of
+    values of at least 1 % of the largest.
     """
     config = systems_of((), ["wang-low-rank"])[0].config
     takes = {"dance": _dances(options, frames)}
