@@ -17,8 +17,8 @@ import tyro
 from numpy.typing import NDArray
 
 from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
+from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Indices, Singles
-from kinefilter.characters.motion import positions_from_rotations
 from kinefilter.pipeline.database.threshold_rule import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
