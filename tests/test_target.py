@@ -21,6 +21,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
+from kinefilter.characters.rotations import wrapped
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
@@ -30,6 +31,7 @@ from kinefilter.pipeline.target.feet import (
     ankles_and_toes,
     find_stance,
     flat_height,
+    plant_feet,
     planted_feet,
 )
 from kinefilter.pipeline.target.target_stages import (
@@ -279,6 +281,21 @@ def test_live_feet_do_not_drag_the_hips_along(motion: str) -> None:
         for positions in (np.array(found), act.positions)
     ]
     assert leaps[0] < 3.0 * leaps[1]
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_feet_step_where_somebody_turns_on_the_spot(seed: int) -> None:
+    """The ankles hardly move then, but the toes do."""
+    act = perform("turn", BODY, seed=seed)
+    confidence = np.ones(act.positions.shape[:2])
+    stands = find_stance(act.time, act.positions, confidence, KINECT_V1)
+    seen = act.time, act.positions, confidence, stands
+    planted, _ = plant_feet(*seen, BODY)
+    yaws = []
+    for positions in (planted, act.positions):
+        across, _, ahead = np.moveaxis(positions[:, TOES] - positions[:, ANKLES], 2, 0)
+        yaws.append(np.arctan2(across, ahead))
+    assert np.degrees(np.abs(wrapped(yaws[0] - yaws[1]))).mean() < 22.0
 
 
 # Takes as they come, from the take to the clip, where every warning is an error
