@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from known_motions import standing
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, InputError, clean
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -23,6 +26,7 @@ from kinefilter.pipeline.metrics import lowest_point
 from kinefilter.pipeline.target.feet import find_stance
 from kinefilter.pipeline.target.floor import Stood, floor_heights, put_on_floor
 from kinefilter.scenes.library import perform
+from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
 
@@ -196,3 +200,12 @@ def test_whose_feet_nobody_saw_stands_on_the_floor_of_the_others() -> None:
         Stood(positions + np.array([0.0, 0.3, 0.0]), confidence, ~no_stance(20), body),
     ]
     assert floor_heights(people) == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_a_floor_far_above_the_feet_is_refused() -> None:
+    take = sample_take().at(slice(60))
+    config = CleanConfig("none", physics=False)
+    found = clean(take, config).clip.floor
+    assert clean(take, replace(config, floor=found + 0.2)).clip.floor == found + 0.2
+    with pytest.raises(InputError, match=f"feet are at {found:.2f} m"):
+        clean(take, replace(config, floor=-found))

@@ -39,8 +39,8 @@ def _take(clip: Clip, positions: NDArray[np.float64]) -> Take:
     [
         (Look(), np.arange(31) / 30, 30),
         (Look(fps=10), np.arange(11) / 10, 10),
-        (Look(start=0.5, to=0.6), np.array([15, 16, 17, 18]) / 30, 30),
-        (Look(fps=10, start=0.25), 0.3 + np.arange(8) / 10, 10),
+        (Look(begin=0.5, end=0.6), np.array([15, 16, 17, 18]) / 30, 30),
+        (Look(fps=10, begin=0.25), 0.3 + np.arange(8) / 10, 10),
     ],
 )
 def test_the_frames_asked_for_are_shown(

@@ -213,8 +213,9 @@ def span_of(export: Export, time: Array, source: str) -> slice:
             "choose --begin and --end outside of this gap"
         )
     if first >= stop or end > duration + slack:
+        span = f"{begin:g} s on" if export.end is None else f"{begin:g} to {end:g} s"
         raise InputError(
-            f"{source}: no frames from {begin:g} to {end:g} s, it has {len(time)} in "
+            f"{source}: no frames from {span}, it has {len(time)} in "
             f"{duration:.4g} s; choose --begin and --end within these"
         )
     return slice(int(first), int(stop))

@@ -164,8 +164,11 @@ def _parse_joint(joint: Any) -> tuple[float, float, float, float]:
     if not numbers or len(joint) not in (3, 4):
         raise MalformedError(Reason.NOT_A_FRAME)
     x, y, z, state = (*joint, float(State.TRACKED))[:4]
-    # This also rejects infinite numbers, such as 1e999.
-    if not max(abs(x), abs(y), abs(z)) < _MAX_DISTANCE or state not in _STATES:
+    far = max(abs(x), abs(y), abs(z))
+    if not far < _MAX_DISTANCE:  # or infinite, such as 1e999
+        note = f"a joint is {far:g} m away from the sensor: send positions in meters"
+        raise MalformedError(Reason.NUMBER, note)
+    if state not in _STATES:
         raise MalformedError(Reason.NUMBER)
     return x, y, z, state
 

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from tyro.conf import arg
+import numpy as np
 
 from kinefilter.characters import InputError
 
@@ -20,9 +20,9 @@ class Look:
     camera: str = "three-quarter"
     """Camera: front, side, three-quarter, orbit, follow, or a TOML file with position
     and target (meters, y up) and fov (vertical field of view, degrees)."""
-    start: Annotated[float, arg(name="from")] = 0.0
-    """Time in the clip to start at, in seconds."""
-    to: float | None = None
+    begin: float = 0.0
+    """Time in the clip to begin at, in seconds."""
+    end: float | None = None
     """Time in the clip to end at, in seconds; default: the end of the clip."""
     compare: Path | None = None
     """The take that the clip was made from, drawn as a stick figure with joints colored
@@ -40,9 +40,9 @@ class Look:
     def __post_init__(self) -> None:
         if self.fps is not None and not 0.1 <= self.fps <= 240.0:
             raise InputError(f"--fps {self.fps:g}: expected 0.1 to 240")
-        if not self.start >= 0.0 or (self.to is not None and not self.to >= self.start):
-            span = f"--from {self.start:g} --to {self.to}"
-            raise InputError(f"{span}: expected 0 <= from <= to")
+        if not 0.0 <= self.begin <= (np.inf if self.end is None else self.end):
+            span = f"--begin {self.begin:g} --end {self.end}"
+            raise InputError(f"{span}: expected 0 <= begin <= end")
         _ = self.pixels  # raises an error if --size is wrong
 
     @property

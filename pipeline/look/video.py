@@ -49,7 +49,7 @@ _LONGEST = 600  # frames: a few seconds, after which a progress bar should move
 _SKIN = 0.13  # m from a joint to the skin, at most: roughly the head's radius
 _GPU_SAMPLES = 4  # makes edges smooth, and a GPU is hardly slower
 _ASTRAY = 1.0  # m from the character, within which a raw joint counts for the camera
-_SKEW = 1e-6  # s by which a frame may lie outside --from and --to
+_SKEW = 1e-6  # s by which a frame may lie outside --begin and --end
 
 
 @dataclass(frozen=True)
@@ -243,16 +243,16 @@ def stretches(count: int, share: int) -> list[range]:
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
     """Return the frames to draw, evenly spaced in time, and their rate [1/s].
 
-    Raises an InputError if the clip has no frame between --from and --to.
+    Raises an InputError if the clip has no frame between --begin and --end.
     """
     rate = look.fps or clip.fps
     even = resampled(clip, rate)
     since = even.time - even.time[0]
-    end = np.inf if look.to is None else look.to
-    chosen = np.flatnonzero((since >= look.start - _SKEW) & (since <= end + _SKEW))
+    end = np.inf if look.end is None else look.end
+    chosen = np.flatnonzero((since >= look.begin - _SKEW) & (since <= end + _SKEW))
     if not len(chosen):
-        to = "the end" if look.to is None else f"{look.to:g} s"
-        none = f"no frames from {look.start:g} s to {to}"
+        to = "the end" if look.end is None else f"{look.end:g} s"
+        none = f"no frames from {look.begin:g} s to {to}"
         raise InputError(f"{clip.source}: {none}; it lasts {since[-1]:.2f} s")
     return even.at(chosen), rate
 

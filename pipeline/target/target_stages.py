@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import Body, positions_from_rotations
+from kinefilter.characters import Body, InputError, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, normalize
@@ -42,6 +42,7 @@ _WATCHED = 20 * _WINDOW  # frames after which it stays as it is
 _FEW = 1  # frames of standing straight that are enough for a live turn
 _FLOOR_TIME = 2.0  # s whose median sole is roughly the floor
 _FLOOR_NEAR = 0.5  # m: feet are off it by less, except in jumps. A guess.
+_FLOOR_FAR = 1.5  # m by which a given floor is above the feet: a mistake
 _FLOOR_FALLS, _FLOOR_RISES = 0.2, 0.01  # share per frame: feet sink rarely, lift often
 
 
@@ -193,13 +194,20 @@ class Floor(SharedStage):
         draft.positions = draft.positions - [0.0, draft.floor, 0.0]
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
-        """Find the floor under everybody's feet, unless its height was given."""
-        before = drafts[0].unedited
-        known = before.planted.floor if before else self._given
-        if known is None:
-            heights = floor.floor_heights([*map(_stood, drafts)])
-        else:
-            heights = [known] * len(drafts)
+        """Find the floor under everybody's feet, unless its height was given.
+
+        Raises an InputError if nobody's feet are near the given height.
+        """
+        given, heights = self._given, floor.floor_heights([*map(_stood, drafts)])
+        if (before := drafts[0].unedited) is not None:
+            heights = [before.planted.floor]
+        elif given is not None:
+            if given - max(heights) > _FLOOR_FAR:
+                raise InputError(
+                    f"floor {given:g}: the feet are at {heights[0]:.2f} m; give the "
+                    "height of the floor in the take, negative below the sensor"
+                )
+            heights = [given] * len(drafts)
         for draft, height in zip(drafts, heights, strict=True):
             draft.floor = height
             draft.positions = draft.positions - [0.0, height, 0.0]

@@ -198,7 +198,7 @@ def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
         place = f"position = {position.tolist()}\ntarget = {center.tolist()}\n"
         camera.write_text(f"{place}fov = 36.0\n", encoding="utf-8", newline="\n")
         look = {"size": "200x240", "camera": str(camera)}
-        look |= {"start": begin, "to": begin + _ARM_LENGTH}
+        look |= {"begin": begin, "end": begin + _ARM_LENGTH}
         for k, shown in enumerate((take, replace(take, positions=held), hidden)):
             pictures = Path(folder) / str(k)
             _animate(cleaner.clean(shown).clip, pictures / "%05d.png", progress, **look)
