@@ -208,4 +208,4 @@ def test_a_floor_far_above_the_feet_is_refused() -> None:
     found = clean(take, config).clip.floor
     assert clean(take, replace(config, floor=found + 0.2)).clip.floor == found + 0.2
     with pytest.raises(InputError, match=f"feet are at {found:.2f} m"):
-        clean(take, replace(config, floor=-found))
+        clean(take, replace(config, floor=1.0))
