@@ -1,23 +1,31 @@
 """Cleaning one take of a batch again, with edits made since."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from kinefilter.characters import InputError
-from kinefilter.pipeline.settings import Settings, fingerprint, overlaid, settings_in
+from kinefilter.pipeline.settings import (
+    Settings,
+    fingerprint,
+    hash_of,
+    overlaid,
+    settings_in,
+)
 
 from .manifest import Row, open_manifest, write_csv
-from .plan import Job, find_sources, with_edits
-from .sessions import Session
-from .store import store_at
+from .plan import Job, with_edits
+from .sessions import Session, Source
+from .store import canonical, store_at
 from .task import clean_file
 
 _BATCH = "run 'kinefilter batch' again"
 
 
 def find_takes(row: Row, folders: Sequence[Path]) -> list[Path]:
-    """Return the files of a row's take, one per sensor, if a folder has all of them."""
+    """Return the files of a row's take, one per sensor; empty if not all are found.
+
+    They are looked for below each of the folders of takes.
+    """
     for folder in folders:
         paths = [folder / name for name in _names(row)]
         if all(path.is_file() for path in paths):
@@ -38,10 +46,11 @@ def clean_again(row: Row, out: Path, takes: Sequence[Path]) -> Row:
     with open_manifest(store) as manifest:
         for clip in row.clips:
             path = out / clip.output
-            if path.exists() and store.sha256(clip.output) != clip.sha256:
-                wrong = "was changed since the batch wrote it"
-                hint = "move it away to clean its take again"
-                raise InputError(f"{path}: {wrong}; {hint}")
+            if path.exists() and hash_of(path) != clip.sha256:
+                raise InputError(
+                    f"{path}: was changed since the batch wrote it; move it away to "
+                    "clean its take again"
+                )
         done = clean_file(job)
         if done.status != "done":
             raise InputError(f"{row.take}: {done.error or 'is not a take'}")
@@ -56,14 +65,14 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise InputError(f"{name}: is not in {out}; {_BATCH}")
     if not takes:
-        hint = "give the folder of the takes with --take"
-        raise InputError(f"{row.take}: not found; {hint}")
-    found = zip(find_sources([*map(str, takes)], str(out)), _names(row), strict=True)
-    sources = tuple(replace(source, take=name) for source, name in found)
-    hashes = (source.store.sha256(source.file.name) for source in sources)
-    if row.sha256 != " ".join(hashes):
-        wrong = "is not the take that the clip was made from, or was changed"
-        raise InputError(f"{takes[0]}: {wrong}; {_BATCH}")
+        raise InputError(
+            f"{row.take}: not found; give the folder of the takes with --take"
+        )
+    if row.sha256 != " ".join(map(hash_of, takes)):
+        raise InputError(
+            f"{takes[0]}: is not the take that the clip was made from, or was changed; "
+            f"{_BATCH}"
+        )
     options = settings_in(row.options, f"{out}: options of {row.take}", Path.cwd())
     settings, suffix = overlaid(Settings(), options), Path(row.output).suffix
     if settings.config.edits is not None:
@@ -76,8 +85,13 @@ def _job(row: Row, out: Path, takes: Sequence[Path]) -> Job:
             f"{row.take}: its batch had another version of kinefilter, options that it "
             f"did not record, or files that changed since; {_BATCH}"
         )
+    sources = [
+        Source(name, store_at(str(path.parent)), canonical(str(path)), file, named=True)
+        for name, path in zip(_names(row), takes, strict=True)
+        if (file := store_at(str(path.parent)).find(path.name))
+    ]
     sensors = tuple(str(sensor["sensor"]) for sensor in row.sensors)
-    session = with_edits(Session(row.take, sources, sensors, settings))
+    session = with_edits(Session(row.take, tuple(sources), sensors, settings))
     hashed = fingerprint(session.settings, suffix)
     return Job(*session, store_at(str(out)), row.output, hashed)
 

@@ -233,14 +233,17 @@ def plan_jobs(
         place = store.path(name)
         relative_to = Path(place).parent if store.is_local else None
         found = overlaid(above, parse_settings(text, place, relative_to), given)
+        of_folders[place] = found
+        return found
+
+    of_folders: dict[str, Settings] = {}
+    chosen = [settings_of(s.store, PurePosixPath(s.file.name).parent) for s in sources]
+    _check(settings, out, suffix)
+    for place, found in of_folders.items():
         try:
             _check(found, out, suffix)
         except InputError as error:
             raise InputError(f"{place}: {error}") from None
-        return found
-
-    _check(settings, out, suffix)
-    chosen = [settings_of(s.store, PurePosixPath(s.file.name).parent) for s in sources]
     sessions = [with_edits(session) for session in find_sessions(sources, chosen)]
     takes = unique_names(session.take for session in sessions)
     named = [one._replace(take=take) for one, take in zip(sessions, takes, strict=True)]
