@@ -229,6 +229,8 @@ def check_edits(take: Take, edits: Sequence[Edit]) -> None:
             hint = f"the take is {since[-1]:.1f} s long"
             raise InputError(f"{where}: no frame is {edit.when}; {hint}")
         if edit.kind == "pin":
+            if (len(edit.joints), len(edit.position)) != (1, 3):
+                raise InputError(f"{where}: a pin needs one joint and x, y, z of it")
             pin = edit.joints[0], int(frames.argmax())
             if pin in pinned:
                 raise InputError(f"{where}: {pin[0]} is pinned there already; keep one")

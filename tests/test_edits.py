@@ -204,10 +204,15 @@ def test_how_far_a_joint_is_from_a_pin_out_of_reach_is_told(
     assert found.notes[0].startswith("edited: ElbowRight pinned at 2.5 s: 1.")
     assert found.notes[0].endswith(" m short; pin it where the body reaches")
     far = replace(pin, position=(x, y + 50.0, z), source="a.toml: pin 1")
-    with pytest.raises(InputError, match=r"a.toml: pin 1: .* pinned there already"):
-        Cleaner().clean(pair.take, edits=[pin, far], before=unedited)
-    with pytest.raises(InputError, match=r"a.toml: pin 1: ElbowRight is 50\.\d m away"):
-        Cleaner().clean(pair.take, edits=[far], before=unedited)
+    bare = replace(far, position=())
+    wrongs = (
+        ".* pinned there already",
+        r"ElbowRight is 50\.\d m",
+        "a pin needs one joint",
+    )
+    for edits, wrong in zip(([pin, far], [far], [bare]), wrongs, strict=True):
+        with pytest.raises(InputError, match=f"a.toml: pin 1: {wrong}"):
+            Cleaner().clean(pair.take, edits=edits, before=unedited)
 
 
 @pytest.mark.parametrize("stands", [True, False])

@@ -262,7 +262,8 @@ class Viewer(ServedPage):
             there = tuple(round(float(x), 4) for x in self._pin.position)
             pin = Edit("pin", time, time, (name,), position=there)
             same = [e for e in self._edits.edits if replace(e, position=there) == pin]
-            self._edits.replace([e for e in (*self._edits.edits, pin) if e not in same])
+            others = [e for e in self._edits.edits if e not in same]
+            self._edits.replace([*others, pin])
             self._show_edits()
 
         self._on(self._pin.on_update, dropped)

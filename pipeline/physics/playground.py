@@ -143,12 +143,11 @@ class Playground:
 
         What another character holds stays in their hands.
         """
-        held = [other.grasp.held for other in character.world.characters]
-        names = {prop.name for prop in held if prop is not None}
-        own = character.grasp.held
+        others = [other for other in character.world.characters if other != character]
+        held = {prop.name for other in others if (prop := other.grasp.held) is not None}
         character.grasp.start()
         for prop in character.grasp.props:
-            if prop.name not in names or (own is not None and own.name == prop.name):
+            if prop.name not in held:
                 prop.put_back()
 
     def _frame(self, motion: Clip) -> int:
