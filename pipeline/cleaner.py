@@ -296,6 +296,7 @@ class Cleaner:
         push each other and the props. In place of the result of a take that cannot be
         cleaned is the error; the others go on without it.
         """
+        # All people pass the last stage that they share before any goes on alone.
         shared = [isinstance(s, SharedStage) and s.shared for s in self.stages]
         count = len(shared) - shared[::-1].index(True) if any(shared) else 0
         found = [self._started(take) for take in takes]
