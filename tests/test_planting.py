@@ -158,8 +158,8 @@ def test_a_foot_stays_over_its_place_while_it_is_lifted_and_set_down() -> None:
     resting = path.copy()
     resting[:30], resting[70:] = 0.0, 1.0
     joined = feet._joined(time, path, resting, stances)
-    np.testing.assert_allclose(joined[30:34], 0.0, atol=1e-9)
-    np.testing.assert_allclose(joined[66:70], 1.0, atol=1e-9)
+    np.testing.assert_allclose(joined[30:38], 0.0, atol=1e-9)
+    np.testing.assert_allclose(joined[62:70], 1.0, atol=1e-9)
     assert 0.3 < joined[50, 0, 2] < 0.7
 
 

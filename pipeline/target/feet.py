@@ -59,8 +59,8 @@ _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
 _SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
 _CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to slide
-_HOLD = 0.04  # s that a foot stays over its place while it is lifted or set down
-_CATCH_UP = 0.1  # s in which it then joins the measured path
+_HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
+_CATCH_UP = 0.15  # s in which it then joins the measured path
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
 _STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
 
@@ -90,13 +90,15 @@ def find_stance(
     tips = _smoothed(time, positions, confidence, toes)
     left, right = np.moveaxis(_smoothed(time, positions, confidence, hips), 1, 0)
     yaw = np.unwrap(np.arctan2((left - right)[:, 2], (left - right)[:, 0]))
+    anything = np.ones(len(time), dtype=np.bool_)
     for foot in range(2):
+        own, other = stands[:, foot], stands[:, 1 - foot]
         # Whoever turns on the spot hardly moves the ankles, but the toes.
-        for stance in runs(stands[:, foot]):
+        for stance in runs(own):
             if np.ptp(yaw[stance]) > _TURNED:
-                _split(time, tips[:, foot, ::2], stands[:, foot], stance, _SWUNG)
-        for stance in runs(stands[:, foot]):
-            _split(time, paths[:, foot, ::2], stands[:, foot], stance, _DRIFT)
+                _split(time, tips[:, foot, ::2], own, stance, _SWUNG, other)
+        for stance in runs(own):
+            _split(time, paths[:, foot, ::2], own, stance, _DRIFT, anything)
     return _handed_over(time, positions, confidence, _unloaded(time, stands), skeleton)
 
 
@@ -254,9 +256,12 @@ def _hand_over(
 
 
 def _split(
-    time: Array, path: Array, stands: Flags, stance: slice, drift: float
+    time: Array, path: Array, stands: Flags, stance: slice, drift: float, where: Flags
 ) -> None:
-    """Split a stance (in place) whose foot moved farther than a drift [m]."""
+    """Split a stance (in place) whose foot moved farther than a drift [m].
+
+    ``where`` are the frames in which it may step, shape (T,).
+    """
     points, count = path[stance], stance.stop - stance.start
     if count < 4:
         return
@@ -271,9 +276,11 @@ def _split(
     middle = time[stance.start + 1 + int(gain.argmax())]
     ends = middle + 0.5 * _STEP * np.array([-1.0, 1.0]) - _ROUNDING
     first, last = np.searchsorted(time, ends).clip(stance.start, stance.stop)
+    if not where[first:last].all():
+        return
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
-        _split(time, path, stands, part, drift)
+        _split(time, path, stands, part, drift, where)
 
 
 def plant_feet(
