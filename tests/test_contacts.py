@@ -122,7 +122,8 @@ def test_a_foot_that_crept_elsewhere_has_stepped_unseen() -> None:
 def test_a_step_that_nobody_saw_takes_as_long_as_a_step() -> None:
     path, stands = np.zeros((120, 2)), np.ones(120, dtype=np.bool_)
     path[60:, 0] = 0.3
-    feet._split(stamps(120), path, stands, slice(0, 120))
+    anywhere = np.ones(120, dtype=np.bool_)
+    feet._split(stamps(120), path, stands, slice(0, 120), 0.15, anywhere)
     # Four tenths of a second about the 60th frame.
     assert runs(~stands) == [slice(54, 66)]
 

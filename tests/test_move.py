@@ -95,7 +95,7 @@ def test_a_part_is_cut_of_the_whole_cleaned_take(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--begin", "30"], "no frames from 30 to 9.9"),
+        (["--begin", "30"], "no frames from 30 s on"),
         (["--end", "12.5"], "no frames from 0 to 12.5 s, it has 298"),
         (["--begin", "3", "--end", "2"], "--begin 3 --end 2: expected seconds"),
         (["--begin", "-1"], "--begin -1: expected seconds"),
