@@ -184,7 +184,7 @@ class _Frames:
         if props := getattr(self, "props", ()):
             some["props"] = tuple(prop.at(frames) for prop in props)
         # Takes and motions are dataclasses.
-        return replace(self, **some)  # type: ignore[type-var]
+        return replace(self, **some)  # type: ignore[type-var] # a dataclass
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,33 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import TRACKINGS, Body, Clip, InputError, Take, Tracking
+from kinefilter.characters import TRACKINGS, Body, InputError, Take, Tracking
 from kinefilter.characters.arrays import (
-    Array,
     as_number,
     check_choice,
     check_kind,
-    runs,
 )
-from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
+from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import LATEST_TIME_STAMP
 
 from .checks import check_take, checked_frame
+from .clean_result import CleanResult, result_of
 from .config import CleanConfig
 from .correct import Corrector
 from .draft import Draft, Unedited
 from .editing import clean_again, unedited
 from .edits import Edit, check_edits, read_edits
-from .failures import Failure, describe_failures, find_displaced
-from .formats.plain import times_told
-from .metrics import Quality, distances, measure
-from .physics import PhysicsTrace
 from .physics.stage import Physics
 from .progress import Progress, silent
 from .reconstruct import Reconstruct
@@ -50,49 +45,10 @@ from .stages import (
     Standardize,
 )
 from .target.aim_stages import AimHands, AimHead
-from .target.floor import to_world
 from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
-from .uncertainty import uncertainty
 
 _Passing = tuple[Take, Any, Draft]  # recorded frames, index of all, working state
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion
-_OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
-
-
-@dataclass(frozen=True, eq=False)
-class CleanResult:
-    """A cleaned clip and a record of how it came about."""
-
-    clip: Clip
-    """The cleaned motion."""
-    target: Array
-    """Joint positions [m] before physics, in the clip's frame, shape (T, J, 3)."""
-    stages: dict[str, Quality]
-    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``. Raw is
-    the take as recorded, even where swapped sides were put right."""
-    coverage: Array
-    """How well the method knows each frame's posture, in [0, 1] or NaN, shape (T,)."""
-    trace: PhysicsTrace | None
-    """What the simulation did at each distinct time stamp; None without physics."""
-    failures: tuple[Failure, ...]
-    """Tracker failures and limbs that moved far; frames count distinct time stamps."""
-    notes: tuple[str, ...]
-    """What the user should know about this take."""
-    clips: tuple[Clip, ...]
-    """The clips to write: ``clip`` itself, or its parts with ``gaps="split"``."""
-
-    @property
-    def damage(self) -> tuple[str, ...]:
-        """Long gaps and tracker failures, with times and remedies, a sentence each."""
-        begin = self.clip.time[0]
-        gaps = describe_gaps(long_gaps(self.clip.time), begin)
-        return (*gaps, *describe_failures(self.failures, begin))
-
-    @property
-    def share_outside(self) -> float:
-        """Share of frames whose coverage is below 0.5, or NaN without coverage."""
-        outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
-        return float(np.mean(outside))
 
 
 class Cleaner:
@@ -285,7 +241,8 @@ class Cleaner:
             draft = clean_again(self.stages, recorded, edits, before, progress)
         else:
             draft = before.done if before else self.whole(recorded, progress)
-        return self._result(take, recorded, frames, draft, edits)
+        one, split = (recorded, frames, draft), self._gaps == "split"
+        return result_of(take, *one, edits, split=split)
 
     def clean_together(
         self, takes: Sequence[Take], *, progress: Progress = silent
@@ -311,7 +268,7 @@ class Cleaner:
             if isinstance(one, InputError):
                 yield one
             else:
-                yield self._result(take, *one, ())
+                yield result_of(take, *one, (), split=self._gaps == "split")
 
     def _started(self, take: Take) -> _Passing | InputError:
         try:
@@ -319,69 +276,6 @@ class Cleaner:
         except InputError as error:
             return error
         return recorded, frames, Draft.of(recorded)
-
-    def _result(
-        self,
-        take: Take,
-        recorded: Take,
-        frames: Any,
-        draft: Draft,
-        edits: Sequence[Edit],
-    ) -> CleanResult:
-        # From here on: clip, quality, failures and notes of what the stages made.
-        measured = to_world(draft.measured, draft.tilt, draft.floor)
-        moved_by_correction = distances(draft.posed, measured)
-        displaced = find_displaced(
-            draft.time, measured, draft.posed, draft.heading.yaw, take.skeleton
-        )
-        del measured
-        tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll
-        raw = to_world(recorded.positions, tilt, draft.floor, roll)
-        motions = {"raw": raw, "corrected": draft.posed}
-        final, force = draft.posed, np.full(len(raw), np.nan)
-        if draft.trace is not None:
-            motions["physics"] = final = draft.positions
-            force = draft.trace.external_force
-        stages = {
-            name: measure(draft.time, positions, raw, draft.body, draft.stands)
-            for name, positions in motions.items()
-        }
-        split = self._gaps == "split"
-        then = ": the next clip begins" if split else ": the character holds still"
-        clip = Clip(
-            time=take.time,
-            root=final[frames, take.skeleton.root],
-            rotations=draft.rotations[frames],
-            body=draft.body,
-            state=take.state,
-            reliability=draft.reliability[frames],
-            deciding_term=draft.deciding_term[frames],
-            origin=draft.origin[frames],
-            moved_by_correction=moved_by_correction[frames],
-            moved_by_physics=distances(final, draft.posed)[frames],
-            uncertainty=uncertainty(draft)[frames],
-            contacts=draft.contacts[frames],
-            external_force=force[frames],
-            props=tuple(prop.at(frames) for prop in draft.props),
-            source=take.source,
-            tilt=tilt,
-            floor=draft.floor,
-            roll=roll,
-        )
-        return CleanResult(
-            clip,
-            draft.posed[frames],
-            stages,
-            draft.coverage[frames],
-            draft.trace,
-            tuple(sorted((*draft.failures, *displaced), key=lambda f: f.first)),
-            (
-                *(_told(edit, draft, final) for edit in edits),
-                *describe_gaps(long_gaps(take.time), take.time[0], then),
-                *_notes(draft),
-            ),
-            tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),
-        )
 
 
 def _passed(
@@ -402,36 +296,3 @@ def clean(
 ) -> CleanResult:
     """Clean one take; a ``Cleaner`` loads its methods once for many takes."""
     return Cleaner(config).clean(take, progress=progress)
-
-
-def _told(edit: Edit, draft: Draft, final: Array) -> str:
-    """Return a note on an edit, and how far from its pin a joint out of reach is."""
-    if edit.kind != "pin":
-        return str(edit)
-    frame = int(edit.frames(draft.time - draft.time[0]).argmax())
-    place = final[frame, draft.skeleton.index(edit.joints[0])]
-    short = float(np.linalg.norm(place - edit.position))
-    reach = f": {short:.1f} m short; pin it where the body reaches"
-    return f"{edit}{reach if short > _OUT_OF_REACH else ''}"
-
-
-def _notes(draft: Draft) -> Iterable[str]:
-    """Yield what the user should know about how a take was cleaned."""
-    if not draft.reference.from_reference_posture:
-        yield (
-            "no T-pose or standing frames with every joint tracked: segment lengths "
-            "are measured over the whole take"
-        )
-    joints = draft.skeleton.joints
-    if unseen := [joints[j] for j in np.flatnonzero(draft.missing.all(axis=0))]:
-        yield f"never tracked, so a guess: {', '.join(unseen)}"
-    yield from draft.turn.notes(draft.tilt)
-    if draft.turn.roll:
-        yield "--tilt 0 leaves the sensor's frame as it is"
-    if draft.trace is not None and draft.trace.reset.any():
-        starts = [draft.time[k.start] - draft.time[0] for k in runs(draft.trace.reset)]
-        yield (
-            f"physics: {draft.trace.status}, {times_told([(t, t) for t in starts])}: "
-            "before that the clip shows the target; if a limb is wrong in it, distrust "
-            "that limb with --edits"
-        )

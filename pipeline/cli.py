@@ -30,7 +30,8 @@ _FILES = {
     "commands.clean": "clean, batch",
     "commands.info": "info, character, blender",
     "commands.merge": "merge",
-    "commands.view": "render, report, view, play",
+    "commands.view": "render, report, view",
+    "commands.play": "play",
     "commands.live": "live, replay",
     "lab.commands.learn": "pair, train, database",
     "lab.commands.measure": "evaluate, reproduce, bench",
@@ -120,7 +121,7 @@ def _read(words: Sequence[str]) -> Any:
             kind = _command(name)
             summary = (kind.__doc__ or "").split("\n")[0]
             listed.append(Annotated[kind, subcommand(name, description=summary)])
-        union: Any = Union[tuple(listed)]  # noqa: UP007
+        union: Any = Union[tuple(listed)]  # noqa: UP007 - made at run time
         return tyro.cli(
             union, prog="kinefilter", description=_ABOUT, args=words, config=_CONFIG
         )

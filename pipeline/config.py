@@ -17,7 +17,7 @@ _FARTHEST = 10_000.0  # m; no sensor sees a floor farther away
 _MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all others
 
 # One list serves the command line and the readers; type checkers see Any.
-TakeFormat: TypeAlias = Literal[tuple(FORMATS)]  # type: ignore[valid-type]
+TakeFormat: TypeAlias = Literal[tuple(FORMATS)]  # type: ignore[valid-type] # a table
 """Layouts of takes by name (see ``formats/takes.py``)."""
 
 

@@ -28,7 +28,8 @@ from .formats.files import LARGEST_TOML, check_file, parse_toml, read_limited
 from .progress import Progress, silent
 
 if TYPE_CHECKING:
-    from .cleaner import Cleaner, CleanResult
+    from .clean_result import CleanResult
+    from .cleaner import Cleaner
     from .merge import Merged
 
 FOLDER_FILE = "kinefilter.toml"

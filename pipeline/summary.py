@@ -9,7 +9,7 @@ from rich.table import Table
 
 from kinefilter.characters import Origin, Term
 
-from .cleaner import CleanResult
+from .clean_result import CleanResult
 from .contents import failures_as_json, gaps_as_json, origin_shares
 from .failures import describe_failures
 from .formats.plain import finite

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, InputError, State, Take, standard_body
-from kinefilter.pipeline.cleaner import CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.failures import FailureKind, unmirrored
 from kinefilter.pipeline.formats import read_clip, write_clip, write_take_csv
 from kinefilter.pipeline.formats.export import resampled

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, Cleaner, clean, clean_session
 from kinefilter.characters import KINECT_V2, InputError, Origin, Take
 from kinefilter.characters.arrays import runs
-from kinefilter.pipeline.cleaner import CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.draft import Unedited
 from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile, read_edits

@@ -26,7 +26,7 @@ from kinefilter.pipeline.avatar import Avatar
 from kinefilter.pipeline.batch.plan import clip_names, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_file
-from kinefilter.pipeline.cleaner import CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export

@@ -61,8 +61,7 @@ def test_feet_that_stand_do_not_move_and_their_soles_are_on_the_floor(
             toes = planted[stance, toe]
             assert np.ptp(toes, axis=0).max() < STILL
             np.testing.assert_allclose(toes[:, 1], BODY.radii[toe], atol=STILL)
-            if heels[stance, foot].all():
-                # A heel that is down may still rise by less than a centimeter.
+            if heels[stance, foot].all():  # may still rise by less than a centimeter
                 assert np.ptp(planted[stance, ankle], axis=0).max() < 0.012
 
 

@@ -10,7 +10,8 @@ import pytest
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import Take
 from kinefilter.characters.errors import InputError
-from kinefilter.pipeline.cleaner import Cleaner, CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
+from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.scenes import SAMPLE
 
 CONFIG = CleanConfig("none", scene="box")

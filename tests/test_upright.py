@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter import Avatar, CleanConfig, clean, read_clip, read_take, write_clip
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
-from kinefilter.pipeline.cleaner import CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.look.comparison import in_clip_frame
 from kinefilter.scenes.library import perform

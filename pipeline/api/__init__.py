@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from kinefilter.characters import Clip, InputError, Motion, Take
     from kinefilter.pipeline.avatar import Avatar, Pose
-    from kinefilter.pipeline.cleaner import Cleaner, CleanResult, clean
+    from kinefilter.pipeline.clean_result import CleanResult
+    from kinefilter.pipeline.cleaner import Cleaner, clean
     from kinefilter.pipeline.config import CleanConfig
     from kinefilter.pipeline.database import PostureDatabase
     from kinefilter.pipeline.formats import Export, read_clip, write_clip
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 _PLACES = {
     "characters": ("Clip", "InputError", "Motion", "Take"),
     "pipeline.avatar": ("Avatar", "Pose"),
-    "pipeline.cleaner": ("CleanResult", "Cleaner", "clean"),
+    "pipeline.clean_result": ("CleanResult",),
+    "pipeline.cleaner": ("Cleaner", "clean"),
     "pipeline.config": ("CleanConfig",),
     "pipeline.database": ("PostureDatabase",),
     "pipeline.formats": ("Export", "read_clip", "write_clip"),

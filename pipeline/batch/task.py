@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Clip, InputError
-from kinefilter.pipeline.cleaner import Cleaner, CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
+from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
 from kinefilter.pipeline.formats.plain import finite, printable

@@ -34,7 +34,7 @@ from .terminal import (
 if TYPE_CHECKING:
     from kinefilter.characters import Take
     from kinefilter.pipeline.batch.run import OnProgress, Outcome
-    from kinefilter.pipeline.cleaner import CleanResult
+    from kinefilter.pipeline.clean_result import CleanResult
     from kinefilter.pipeline.merge import Merged
 
 

@@ -1,4 +1,4 @@
-"""The commands ``view``, ``play``, ``render`` and ``report``."""
+"""The commands ``view``, ``render`` and ``report``."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from kinefilter.characters import Clip, InputError, TrackingName
+from kinefilter.characters import InputError
 from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.edits import Edit, EditsFile, edits_beside
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.formats.clips import check_writable
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.settings import Settings
 
 from .terminal import check_calibration, check_output, err, keep, out, progress_bars
 
@@ -241,86 +239,6 @@ class View:
 
         with progress_bars() as progress:
             return draw(edits, progress), draw
-
-
-@dataclass(frozen=True)
-class Play:
-    """Interact with a character in the browser: push it, throw balls, let it fall.
-
-    Prints the address of a page. The character performs a take in a loop; drag it or
-    throw balls with the mouse, and use buttons and keys to release and reattach it,
-    pause, slow down, restart, and record a clip. Several characters share the scene and
-    push each other, and each is recorded to a clip of its own. Needs pip install
-    "kinefilter[view]".
-    """
-
-    scene: Annotated[Positional[str], arg(metavar="SCENE")] = "basic"
-    """Surroundings: a scene (an unknown name lists the scenes), or an MJCF file
-    (.xml)."""
-    take: UseAppendAction[tuple[Path, ...]] = ()
-    """The motion to perform: a take in any of the formats of --format, or a clip (.npz,
-    USD or GLB); default: the sample take. Repeat it for several characters, who begin
-    beside each other."""
-    format: TakeFormat | None = None
-    """Format of the take; default: detected from its content."""
-    body: int | Literal["all"] | None = None
-    """Number of the person in the take, from 1, or 'all', who begin where they were to
-    each other; default: the one seen in most frames."""
-    tracking: TrackingName = "game"
-    """How the character follows the motion: faithful, as in clean; game, which gives
-    way when hit, falls and gets up; or ragdoll, which does not follow."""
-    save: Path = Path("play.npz")
-    """File that the page records to, in any clip format; further recordings go to
-    play.2.npz and so on, with .1, .2 and so on added for several characters. The page
-    writes nothing else."""
-    bind: str = "127.0.0.1"
-    """Address to listen on; the default accepts connections from this machine only.
-    Anyone who can connect may play and record."""
-    port: int = 0
-    """Port to listen on; 0 picks a free one."""
-    open: bool = False
-    """Open the page in the default browser."""
-
-    def run(self) -> int:
-        """Clean the take, and serve the page until interrupted."""
-        require("viser", "playing", "view")
-        from kinefilter.pipeline.look.player import Player
-        from kinefilter.pipeline.look.viewer_server import check_address, opened_server
-        from kinefilter.pipeline.physics.playground import Playground
-        from kinefilter.scenes import SAMPLE  # loads mujoco
-
-        check_address(self.bind, self.port)
-        check_writable(self.save)
-        keep(self.save, *self.take)
-        if self.body == "all" and len(self.take) > 1:
-            raise InputError("--body all needs a single --take")
-        with suppress(KeyboardInterrupt):  # the regular way to quit
-            takes = self.take or (SAMPLE,)
-            motions = [motion for path in takes for motion in self._motions(path)]
-            placed = self.body == "all"
-            ground = Playground(motions, self.scene, self.tracking, placed=placed)
-            with opened_server(self.bind, self.port) as server:
-                player = Player(server, ground, self.save)
-                shown = ", ".join(map(str, self.take)) or SAMPLE.name
-                out.print(f"{player.address} plays {shown}; press Ctrl-C to quit")
-                if self.open:
-                    webbrowser.open(player.address)
-                player.run()
-        return 0
-
-    def _motions(self, path: Path) -> list[Clip]:
-        if path.suffix.lower() in WHOLE_CLIPS:
-            return [read_finite_clip(path)]
-        config, clips = CleanConfig(physics=False), list[Clip]()
-        settings = Settings(config, format=self.format, body=self.body)
-        read = [settings.read(path)]
-        with progress_bars() as progress:
-            cleaned = settings.clean(read, settings.people(read), progress=progress)
-            for _, result, _ in cleaned:
-                if isinstance(result, InputError):
-                    raise result
-                clips.append(result.clip)
-        return clips
 
 
 @dataclass(frozen=True)

@@ -74,9 +74,14 @@ class Person:
         return None
 
     def _make_avatar(self, body: Body, measured: Body | None = None) -> Avatar:
-        config, world = self._config, (body, self._config.scene)
-        gains = config.tracking
-        return Avatar(*world, floor=config.floor, tracking=gains, measured=measured)
+        config = self._config
+        return Avatar(
+            body,
+            config.scene,
+            floor=config.floor,
+            tracking=config.tracking,
+            measured=measured,
+        )
 
 
 class Stamps:

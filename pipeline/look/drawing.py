@@ -20,7 +20,7 @@ from kinefilter.pipeline.formats import read_clip
 
 if TYPE_CHECKING:
     from kinefilter.characters import Take
-    from kinefilter.pipeline.cleaner import CleanResult
+    from kinefilter.pipeline.clean_result import CleanResult
     from kinefilter.pipeline.failures import Failure
     from kinefilter.pipeline.merge import Merged
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from kinefilter.characters import Body, Origin, Take
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.pipeline.cleaner import Cleaner, CleanResult
+from kinefilter.pipeline.clean_result import CleanResult
+from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft

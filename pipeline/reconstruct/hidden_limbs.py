@@ -33,8 +33,9 @@ PAUSE = 0.2  # s without a frame, after which a movement ends
 _BELIEVED = 2.0  # s from the nearer end of a gap, beyond which inferred joints fade in
 _QUERIES = 12  # frames of a gap for which the take's most similar ones are kept
 _AT_ONCE = 3000  # frames of a gap that are filled at once, which bounds the memory
-_SMOOTHED = 0.2  # s: standard deviation of the filter over predicted directions. Chosen
-# on s02, s03, s04 and a quarter of the other people.
+# s: standard deviation of the filter over predicted directions. Chosen on s02, s03, s04
+# and a quarter of the other people.
+_SMOOTHED = 0.2
 
 
 def fill_hidden(

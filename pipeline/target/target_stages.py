@@ -239,8 +239,8 @@ class Feet(Stage):
         positions, weights = draft.positions.copy(), draft.weights.copy()
         path, elapsed = positions[self._parts], draft.elapsed
         stands = self._stance.step(path[:, 0], self._flat, elapsed)
-        toes = (path - self._anchors)[:, 1, [0, 2]]
-        stepped = np.linalg.norm(toes, axis=1) > _REACH
+        moved = (path - self._anchors)[:, 1, [0, 2]]
+        stepped = np.linalg.norm(moved, axis=1) > _REACH
         stands = self._stance.let_go(self._planted & stepped)
         place = path + self._moved
         place[..., 1] = self._heights
