@@ -209,3 +209,17 @@ def test_a_floor_far_above_the_feet_is_refused() -> None:
     assert clean(take, replace(config, floor=found + 0.2)).clip.floor == found + 0.2
     with pytest.raises(InputError, match=f"feet are at {found:.2f} m"):
         clean(take, replace(config, floor=1.0))
+
+
+def test_feet_of_whoever_hangs_from_a_bar_stay_in_the_air() -> None:
+    take = sample_take().at(slice(150))
+    lift = 0.6 * np.convolve(np.arange(150) > 60, np.ones(9) / 9, "same")[:, None]
+    positions = take.positions.copy()
+    positions[..., 1] += np.where(np.arange(150) > 145, 0.6, lift[:, 0])[:, None]
+    clip = clean(replace(take, positions=positions), CleanConfig(physics=False)).clip
+    hangs = slice(70, 140)
+    assert clip.contacts[:50].any(axis=1).all()
+    assert not clip.contacts[hangs].any()
+    ankles = clip.positions[:, planted_feet(take.skeleton), 1]
+    rise = ankles[hangs].mean() - ankles[:50].mean()
+    assert rise == pytest.approx(0.6, abs=0.05)

@@ -99,6 +99,16 @@ def test_a_frame_that_the_user_gives_is_left_alone() -> None:
     assert not told(result, "sensor")
 
 
+def test_a_tilt_that_the_user_gives_is_undone_before_correction() -> None:
+    config = replace(QUICK, method="local-pca", tilt=0.0)
+    level = clean(standing("front"), config)
+    tilted = clean(turned(standing("front"), "x", -30.0), replace(config, tilt=30.0))
+    assert tilted.clip.tilt == pytest.approx(np.radians(30.0))
+    for name in ("rotations", "root", "reliability"):
+        wanted = getattr(level.clip, name)
+        np.testing.assert_allclose(getattr(tilted.clip, name), wanted, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("arms", "lean"),
     [("down", 90.0), ("down", -90.0), ("front", 75.0), ("front", 50.0), ("up", 180.0)],
@@ -110,7 +120,9 @@ def test_who_is_on_the_floor_or_on_the_hands_stays_there_and_is_told(
     # They face -z, so that leaning forward is turning about -x.
     result = clean(turned(standing(arms), "x", -lean), QUICK)
     assert (result.clip.tilt, result.clip.roll) == (0.0, 0.0)
-    assert told(result, "off the vertical", "--tilt")
+    # The option cannot turn anybody by more than 90 degrees.
+    assert told(result, "off the vertical", "rotate the frames")
+    assert told(result, "--tilt") == (lean <= 90.0)
 
 
 @pytest.mark.parametrize("motion", ["bend", "sit", "squat", "lunge", "pick_up", "run"])

@@ -26,6 +26,7 @@ _PER_LIFT = 15.0  # per m of the ankle above the other
 _PER_HEIGHT = 12.0  # per m of both above what Kinect's errors in squats lift them by
 _LOWER, _HIGHER = -0.1, 0.3  # m: heights are clipped to this range
 _ERROR_OF_HEIGHT = 0.1  # m
+_OFF_FLOOR = 0.25  # m of a resting foot; at most 0.11 in half of the recorded takes
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for planted
 _SWITCH = 4.0  # cost of a change in log odds: the hysteresis. A guess.
 _SPEED_TIME = 0.1  # s over which speed is averaged where there is no look-ahead
@@ -107,6 +108,19 @@ def _smoothed(
 ) -> Array:
     weights = np.maximum(confidence[:, joints], _LEAST_WEIGHT)
     return smooth(time, positions[:, joints], weights, cutoff=_CUTOFF)
+
+
+def on_floor(positions: Array, stands: Flags, body: Body) -> Flags:
+    """Return the stances on the floor, which is at y = 0, (T, 2).
+
+    Feet may also rest high above it: of people who hang from a bar or lie on a bed.
+    """
+    (ankles, toes), low = ankles_and_toes(body.skeleton), stands.copy()
+    for foot, (ankle, toe) in enumerate(zip(ankles, toes, strict=True)):
+        most = flat_height(body, toe) + _OFF_FLOOR
+        for stance in runs(stands[:, foot]):
+            low[stance, foot] = np.median(positions[stance, ankle, 1]) <= most
+    return low
 
 
 def planted_feet(contacts: Flags) -> Flags:

@@ -23,7 +23,7 @@ from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
 from .smooth import smooth, smooth_by_speed
-from .upright import Turn, find_turn
+from .upright import Turn, find_turn, given_turn
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
@@ -55,16 +55,16 @@ class Upright(SharedStage):
     name = "upright"
 
     def __init__(self, config: CleanConfig) -> None:
-        self._given = config.tilt is not None
+        self._given = None if config.tilt is None else given_turn(config.tilt)
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._recent: deque[Array] = deque(maxlen=_WINDOW)
-        self._frames, self._turn = 0, Turn()
+        self._frames, self._turn = 0, self._given or Turn()
 
     def step(self, draft: Draft) -> None:
         """Turn the next frame by what the frames so far show."""
-        if not self._given and self._frames < _WATCHED:
+        if self._given is None and self._frames < _WATCHED:
             self._recent.append(draft.measured)
             self._frames += 1
             # Not in every frame, as it takes as long as some stages do.
@@ -79,11 +79,9 @@ class Upright(SharedStage):
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
         """Turn takes, by how most of the people stand."""
-        if self._given:
-            return
         before, skeleton = drafts[0].unedited, drafts[0].skeleton
         measured = [draft.measured for draft in drafts]
-        turn = before.done.turn if before else None
+        turn = before.done.turn if before else self._given
         self._turn = turn or find_turn(np.concatenate(measured), skeleton)
         for draft in drafts:
             self._apply(draft)
@@ -105,7 +103,7 @@ class Level(SharedStage):
 
     def step(self, draft: Draft) -> None:
         """Level the next frame if the tilt was given."""
-        draft.tilt = self._tilt or 0.0
+        draft.tilt = 0.0 if self._tilt is None else self._tilt - draft.turn.tilt
         draft.positions = floor.leveled(draft.positions, draft.tilt)
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
@@ -115,8 +113,11 @@ class Level(SharedStage):
             stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
             draft.stands = np.concatenate(stances)
         before, by_kinect = drafts[0].unedited, drafts[0].by_kinect
-        tilt = before.planted.tilt if before else self._tilt
-        if tilt is None:
+        if before:
+            tilt = before.planted.tilt
+        elif self._tilt is not None:
+            tilt = self._tilt - drafts[0].turn.tilt
+        else:
             tilt = floor.sensor_tilt([*map(_stood, drafts)], by_kinect=by_kinect)
         for draft in drafts:
             draft.tilt = tilt
@@ -211,6 +212,7 @@ class Floor(SharedStage):
         for draft, height in zip(drafts, heights, strict=True):
             draft.floor = height
             draft.positions = draft.positions - [0.0, height, 0.0]
+            draft.stands = feet.on_floor(draft.positions, draft.stands, draft.body)
 
 
 class Feet(Stage):

@@ -39,9 +39,9 @@ _MIRRORED = (
 )
 _DOUBT = (
     "the person is {:.0f} degrees off the vertical in most frames, and the take does "
-    "not show whether they really are or the sensor was turned; if it was, rotate the "
-    "frames so that y points up, or give clean --tilt"
+    "not show whether they really are or the sensor was turned; if it was, {}"
 )
+_ROTATE = "rotate the frames so that y points up"
 _FRAMES = 5000  # to look at: enough for medians
 
 
@@ -65,6 +65,15 @@ class Turn:
         elif tilt:
             notes.insert(0, f"the sensor was tilted by {tilt:+.1f} degrees")
         return tuple(notes)
+
+
+def given_turn(tilt: float) -> Turn:
+    """Return the turn by a tilt that the user gives [degrees]; none if it is ordinary.
+
+    Correction was learned with ordinary tilts, which are leveled after it.
+    """
+    angle = float(np.radians(tilt))
+    return Turn(tilt=angle) if abs(angle) > _ORDINARY["both"] else Turn()
 
 
 def find_turn(positions: Array, skeleton: Skeleton, least: int = _MIN_FRAMES) -> Turn:
@@ -91,8 +100,8 @@ def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
     if stands.sum() < enough:
         lean = _from_vertical(np.median(along, axis=0))
         if lean <= _OVER:
-            leans = lean > _LEANING
-            return Turn(doubt=_DOUBT.format(np.degrees(lean)) if leans else "")
+            doubt = _doubt(np.median(along, axis=0))
+            return Turn(doubt=doubt if lean > _LEANING else "")
         # Nobody is upside down for most of a take, legs bent or not.
         stands = np.ones(len(along), dtype=np.bool_)
     along, down = along[stands], down[stands]
@@ -108,7 +117,7 @@ def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
     else:
         sure &= np.mean(down.max(axis=1) > _CARRYING) > 1.0 - _AGREEMENT
     if not sure or _TILTED < lean < _OVER:
-        return Turn(doubt=_DOUBT.format(np.degrees(lean)))
+        return Turn(doubt=_doubt(up))
     if lean >= np.pi - ordinary:
         return Turn(roll=np.pi)  # as near as level sensors are
     roll = np.arctan2(up[0], up[1])
@@ -130,6 +139,14 @@ def with_y_up(take: Take) -> Take:
     if _from_vertical(up) < _OVER or not sure or not _mirrored(some, take.skeleton):
         return take
     return replace(take, positions=take.positions * [1.0, -1.0, 1.0])
+
+
+def _doubt(up: Array) -> str:
+    """Return the warning for people whose shoulders are ``up`` from their feet."""
+    most, (x, y, _) = np.sin(_ORDINARY["both"]), unit(up)
+    tilts = abs(x) < most and y > -most  # which the option can undo, up to 90 degrees
+    advice = f"give clean --tilt, or {_ROTATE}" if tilts else _ROTATE
+    return _DOUBT.format(np.degrees(_from_vertical(up)), advice)
 
 
 def _from_vertical(direction: Array) -> float:
