@@ -40,7 +40,7 @@ PRESETS = {
     "liu-2016": Preset(
         "local-gp",
         {"clusters": 30, "samples": 50, "blended": 9, **_EQUATION_22}
-        | {"frames": 2501, "trend": False, "votes": "similarity", **_DRIFT}
+        | {"frames": 2501, "trend": False, "votes": "precision", **_DRIFT}
         | {"adapt": True},
     ),
     # Zhou, Liu, Leung & Shum 2014, which Liu 2016 builds on

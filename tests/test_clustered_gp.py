@@ -15,7 +15,7 @@ from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.correct import Correction, Observation
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 from kinefilter.pipeline.lab.methods.filters import BoneWalk
-from kinefilter.pipeline.lab.methods.training_data import TrainingSet
+from kinefilter.pipeline.lab.methods.training_data import TrainingFrames, TrainingSet
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,16 @@ def test_bones_come_back_from_standard_lengths() -> None:
     assert np.abs(lengths - walk.lengths).max() > 0.02
     again = walk.posture(walk.measure(standard)[0], lengths)
     np.testing.assert_allclose(again, postures, atol=1e-12)
+
+
+def test_legs_need_not_be_reliable_to_learn_from() -> None:
+    lessons = _lessons(SHIFT)
+    for joint, complete in (("KneeLeft", True), ("WristLeft", False)):
+        reliability = lessons.reliability.copy()
+        reliability[::2, KINECT_V1.index(joint)] = 0.1
+        doubted = replace(lessons, reliability=reliability)
+        frames = TrainingFrames.draw(doubted, KINECT_V1, 400, 0, least_reliability=0.7)
+        assert len(frames.postures) == (400 if complete else 200)
 
 
 def test_a_bone_without_a_length_points_as_at_rest() -> None:

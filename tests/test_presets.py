@@ -66,6 +66,8 @@ def test_the_constants_are_those_of_the_papers() -> None:
     assert (liu["clusters"], liu["samples"], liu["blended"]) == (30, 50, 9)
     weights = (liu["spatial"], liu["temporal"], liu["reliability"])
     assert weights == (0.6, 0.2, 0.2)
+    # Unlike eq. 12, see DEPARTURES.
+    assert liu["votes"] == "precision"
     chiang = PRESETS["chiang-2017"]
     assert chiang.settings["centroids"] == 800
     assert chiang.settings["smallest_reliability"] == 0.7

@@ -40,7 +40,7 @@ class ClusteredGP(Learner):
 
     skeleton: Skeleton = field(kw_only=False)
     centroids: int = 800  # Q, number of clusters of training postures
-    smallest_reliability: float = 0.7  # of a joint in training
+    smallest_reliability: float = 0.7  # of an upper body's joint in training
     predicts: Literal["offsets", "positions"] = "offsets"  # or mocap's (eq. 5)
     lengths: Literal["learned", "own"] = "learned"
     """Bone lengths after correction: those that mocap has for people of similar
@@ -57,7 +57,7 @@ class ClusteredGP(Learner):
         self._walk = BoneWalk(self.skeleton)
 
     def fit(self, training: TrainingSet, *, progress: Progress = silent) -> Self:
-        """Train on pairs in which every joint is reliable."""
+        """Train on pairs in which the upper body is reliable."""
         count, least = _POOL * self.centroids, self.smallest_reliability
         frames = TrainingFrames.draw(training, self.skeleton, count, self.seed, least)
         for _ in progress("clusters", 1):

@@ -113,7 +113,10 @@ class TrainingFrames:
         seed: int,
         least_reliability: float = 0.0,
     ) -> Self:
-        """Draw frames in which learned joints are reliable; InputError if too few."""
+        """Draw frames whose upper body has a reliability; InputError if too few.
+
+        The legs need none: Chiang et al., whose rule it is, have only the upper body.
+        """
         training.check_skeleton(skeleton)
         counts = np.zeros((2, len(skeleton)))
         for block in chunks(len(training), _BLOCK):
@@ -123,7 +126,9 @@ class TrainingFrames:
         # Requiring a joint that is mostly absent would leave too few frames.
         usual, common = counts / len(training) > 0.5
         joints = np.flatnonzero(common)
-        rows = _complete_frames(training, joints, least_reliability)
+        legs = [j for hip in skeleton.hips for j in (hip, *skeleton.descendants(hip))]
+        least = np.where(np.isin(joints, legs), 0.0, least_reliability)
+        rows = _complete_frames(training, joints, least)
         if len(rows) < _LEAST_FRAMES or not len(joints):
             raise InputError(
                 f"{training.source}: {len(rows)} frames with every joint reliable "
@@ -147,7 +152,7 @@ class TrainingFrames:
         return cls(postures, offsets, joints, usual, lengths)
 
 
-def _complete_frames(training: TrainingSet, joints: Indices, least: float) -> Indices:
+def _complete_frames(training: TrainingSet, joints: Indices, least: Array) -> Indices:
     frames = []
     for block in chunks(len(training), _BLOCK):
         complete = training.reliability[block][:, joints] >= least
