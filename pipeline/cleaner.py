@@ -22,7 +22,7 @@ from kinefilter.characters.arrays import (
     check_kind,
 )
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import LATEST_TIME_STAMP
+from kinefilter.characters.motion import LATEST_TIME_STAMP, distinct_stamps
 
 from .checks import check_take, checked_frame
 from .clean_result import CleanResult, result_of
@@ -214,7 +214,7 @@ class Cleaner:
                 f"{take.source}: {describe_gaps(gaps, take.time[0])[0]}; clean it with "
                 "--gaps hold or split, or cut the take there"
             )
-        distinct = np.concatenate([[True], np.diff(take.time) > 0])
+        distinct = distinct_stamps(take.time)
         if distinct.all():
             return take, slice(None)  # which copies nothing
         return take.at(distinct), np.cumsum(distinct) - 1
