@@ -95,7 +95,7 @@ class Stream:
             for body in rows.values()
             if len(body) >= _MIN_FRAMES and body[-1][0] - body[0][0] >= _MIN_SECONDS
         )
-        return Recording(takes, self.name) if takes else None
+        return Recording(takes) if takes else None
 
 
 class Sensors:
