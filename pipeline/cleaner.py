@@ -185,11 +185,15 @@ class Cleaner:
         if self._time is not None:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
         self._time = time
+        self.go_on(draft)
+        return draft
+
+    def go_on(self, draft: Draft) -> None:
+        """Pass a frame from earlier stages through these; call ``start`` first."""
         for stage, draft.body in zip(self.stages, self._bodies, strict=True):
             if draft.appears and not stage.continues:
                 stage.start(draft.body)
             stage.step(draft)
-        return draft
 
     def whole(self, take: Take, progress: Progress = silent) -> Draft:
         """Pass a take with strictly increasing time stamps through the stages."""

@@ -31,7 +31,7 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export
 from kinefilter.pipeline.formats.export import even_frames, resampled
-from kinefilter.pipeline.formats.recording import numbered, part_paths
+from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.page import contents_of as page_contents

@@ -16,7 +16,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
-from kinefilter.pipeline.formats.recording import numbered, part_paths
+from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import PurePath
-from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -18,7 +16,6 @@ from kinefilter.pipeline.people import Part, Track, people_of
 from .plain import counted
 from .rows import MOST_FRAMES
 
-_Path = TypeVar("_Path", bound=PurePath)
 Notes = tuple[str, ...]
 
 FASTEST = 2000.0  # frames/s, of marker mocap
@@ -61,12 +58,6 @@ class Recording:
     def main(self) -> int:
         """Index of the person tracked in most frames."""
         return int(np.argmax([take.state.any(axis=1).sum() for take in self.takes]))
-
-    def numbers(self, body: int | Literal["all"] | None) -> list[int]:
-        """Return the requested people's numbers, from 1; None is the main person."""
-        if body == "all":
-            return list(range(1, len(self.takes) + 1))
-        return [self.main + 1 if body is None else body]
 
     def take(self, body: int | None = None) -> Take:
         """Return a person's take, from 1, or raise InputError; None is the main one."""
@@ -112,19 +103,6 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
     for take in takes:
         check_rate(take.time, source)
     return replace(recording, takes=takes)
-
-
-def numbered(path: _Path, body: int | None) -> _Path:
-    """Return the path for one of several people: ``clip.2.usda`` for ``clip.usda``."""
-    return path if body is None else path.with_name(f"{path.stem}.{body}{path.suffix}")
-
-
-def part_paths(path: _Path, parts: int) -> list[_Path]:
-    """Return a path per part of a take: ``clip.part1.usda`` and so on."""
-    if parts == 1:
-        return [path]
-    names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
-    return [path.with_name(name) for name in names]
 
 
 def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:
