@@ -11,7 +11,7 @@ from kinefilter.characters.anthropometry import unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
-from kinefilter.pipeline.people import Part, Track, people_of
+from kinefilter.pipeline.people import Piece, Track, people_of
 
 from .plain import counted
 from .rows import MOST_FRAMES
@@ -263,12 +263,12 @@ def takes_of_people(
         if np.isfinite(track.positions).any():
             check_extent(track.positions, source)
     found = [
-        (parts, np.concatenate([bodies[part.track][part.rows] for part in parts]))
-        for parts in people_of(tracks)
+        (pieces, np.concatenate([bodies[piece.track][piece.rows] for piece in pieces]))
+        for pieces in people_of(tracks)
     ]
     longest = max((len(rows) for _, rows in found), default=0)
     fewest = max(_FEWEST, min(_GHOST_SHARE * longest, _GHOST_FRAMES))
-    people = [(parts, rows) for parts, rows in found if len(rows) >= fewest]
+    people = [(pieces, rows) for pieces, rows in found if len(rows) >= fewest]
     if not people:
         raise InputError(
             f"{source}: no one is tracked for two frames or more; record again with "
@@ -292,16 +292,16 @@ def takes_of_people(
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
         takes.append(Take(time[span], places, states, skeleton, name, face=face))
-    return tuple(takes), _change_notes([parts for parts, _ in people], tracks)
+    return tuple(takes), _change_notes([pieces for pieces, _ in people], tracks)
 
 
-def _change_notes(people: Sequence[Sequence[Part]], tracks: Sequence[Track]) -> Notes:
+def _change_notes(people: Sequence[Sequence[Piece]], tracks: Sequence[Track]) -> Notes:
     begin = min(float(track.time[0]) for track in tracks)
     changes = sorted(
-        float(tracks[part.track].time[part.rows[0]]) - begin
-        for parts in people
-        for last, part in pairwise(parts)
-        if last.track != part.track
+        float(tracks[piece.track].time[piece.rows[0]]) - begin
+        for pieces in people
+        for last, piece in pairwise(pieces)
+        if last.track != piece.track
     )
     if not changes:
         return ()

@@ -19,7 +19,7 @@ from kinefilter.pipeline.checks import check_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.people import Part, Track, people_of
+from kinefilter.pipeline.people import Piece, Track, people_of
 
 from .alignment import IDENTITY, Alignment, align
 from .rigid import Placement
@@ -148,15 +148,15 @@ def _identify(
             time = found.clock.inverse(take.time)
             tracks.append(Track(time, joints, take.skeleton, s))
 
-    def rows_of_chosen(person: Sequence[Part]) -> int:
+    def rows_of_chosen(person: Sequence[Piece]) -> int:
         return sum(len(p.rows) for p in person if takes[p.track] is chosen)
 
     person = max(people_of(tracks), key=rows_of_chosen)
     own_takes, scores, notes = [], [], []
     own_alignments: list[Alignment] = []
     for s, recording in enumerate(recordings):
-        own = [part for part in person if part.sensor == s]
-        if sum(len(part.rows) for part in own) < 2:
+        own = [piece for piece in person if piece.sensor == s]
+        if sum(len(piece.rows) for piece in own) < 2:
             source = recording.takes[0].source.partition(", body ")[0]
             notes.append(f"{source}: does not show this person, and is left out")
             continue
@@ -164,7 +164,7 @@ def _identify(
         own_takes.append(take)
         scores.append(score)
         own_alignments += alignments[s - 1 : s]  # none for the first sensor
-        sources = dict.fromkeys(takes[part.track].source for part in own)
+        sources = dict.fromkeys(takes[piece.track].source for piece in own)
         if len(sources) > 1:
             told = "are the same person, by place, time and body lengths"
             notes.append(f"parts of {' and '.join(sources)} {told}")
