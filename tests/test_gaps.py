@@ -34,7 +34,7 @@ from kinefilter.pipeline.formats.export import even_frames, resampled
 from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
-from kinefilter.pipeline.look.page import contents_of as page_contents
+from kinefilter.pipeline.look.page import page_contents
 from kinefilter.pipeline.physics import Targets, pull_through
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.settings import Settings
