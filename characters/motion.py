@@ -154,6 +154,11 @@ def nominal_step(time: Array) -> float:
     return float(np.median(steps)) if len(steps) else float("nan")
 
 
+def distinct_stamps(time: Array) -> Flags:
+    """Return flags of the first frame with each time stamp [s], shape (T,)."""
+    return np.diff(time, prepend=-np.inf) > 0.0
+
+
 def nearest_frames(stamps: Array, times: Array) -> Indices:
     """Return the index of the time stamp [s] nearest to each time, shape (T,)."""
     return np.searchsorted(0.5 * (stamps[:-1] + stamps[1:]), times)

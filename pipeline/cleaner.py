@@ -22,7 +22,7 @@ from kinefilter.characters.arrays import (
     check_kind,
 )
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import LATEST_TIME_STAMP
+from kinefilter.characters.motion import LATEST_TIME_STAMP, distinct_stamps
 
 from .checks import check_take, checked_frame
 from .clean_result import CleanResult, result_of
@@ -185,11 +185,15 @@ class Cleaner:
         if self._time is not None:
             draft.elapsed = min(time - self._time, _LONGEST_STEP)
         self._time = time
+        self.go_on(draft)
+        return draft
+
+    def go_on(self, draft: Draft) -> None:
+        """Pass a frame from earlier stages through these; call ``start`` first."""
         for stage, draft.body in zip(self.stages, self._bodies, strict=True):
             if draft.appears and not stage.continues:
                 stage.start(draft.body)
             stage.step(draft)
-        return draft
 
     def whole(self, take: Take, progress: Progress = silent) -> Draft:
         """Pass a take with strictly increasing time stamps through the stages."""
@@ -214,7 +218,7 @@ class Cleaner:
                 f"{take.source}: {describe_gaps(gaps, take.time[0])[0]}; clean it with "
                 "--gaps hold or split, or cut the take there"
             )
-        distinct = np.concatenate([[True], np.diff(take.time) > 0])
+        distinct = distinct_stamps(take.time)
         if distinct.all():
             return take, slice(None)  # which copies nothing
         return take.at(distinct), np.cumsum(distinct) - 1

@@ -14,7 +14,12 @@ from rich.table import Table
 from kinefilter.characters import KINECT_V1, Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import CONTACTS, Origin, nominal_step
+from kinefilter.characters.motion import (
+    CONTACTS,
+    Origin,
+    distinct_stamps,
+    nominal_step,
+)
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
@@ -226,7 +231,7 @@ def _of_recording(recording: Recording) -> dict[str, Any]:
 def contents_of_take(take: Take) -> dict[str, Any]:
     """Return the contents of a take: time, states of parts of the body, failures."""
     missing = take.state == State.NOT_TRACKED
-    distinct = np.concatenate([[True], np.diff(take.time) > 0])
+    once = take.at(distinct_stamps(take.time))
     return {
         "skeleton": take.skeleton.name,
         "joints": len(take.skeleton),
@@ -234,7 +239,7 @@ def contents_of_take(take: Take) -> dict[str, Any]:
         "frames_without_anyone": int(np.sum(missing.all(axis=1))),
         "joints_never_seen": np.array(take.skeleton.joints)[missing.all(0)].tolist(),
         "states": _states(take),
-        "failures": failures_as_json(find_failures(take.at(distinct))),
+        "failures": failures_as_json(find_failures(once)),
     }
 
 

@@ -73,8 +73,8 @@ class Draft:
     bone_weights: Array = field(init=False)  # how firmly joints keep places, (J,)
     rotations: Array = field(init=False)  # world segment rotations, wxyz, shape (J, 4)
     posed: Array = field(init=False)  # joints [m] before physics, (J, 3); takes only
-    external_force: Any = float("nan")  # beyond muscles and floor [body weights], ()
     # Frames only:
+    external_force: float = float("nan")  # beyond muscles and floor [body weights]
     impossible: bool = False  # a body of impossible size or place was discarded
     appears: bool = False  # the person is seen first, or suddenly elsewhere
     reset: bool = False  # the character was reset onto its target (PhysicsTrace)

@@ -52,7 +52,7 @@ class Track(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Piece:
     """Frames of a track throughout which it shows the same person."""
 
     track: int  # number of the track, from 0
@@ -65,10 +65,10 @@ class Part:
     last: tuple[Array, Array]  # the same at its end
 
 
-def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
-    """Return the parts of the tracks for each person, in order of time.
+def people_of(tracks: Sequence[Track]) -> list[list[Piece]]:
+    """Return the pieces of the tracks for each person, in order of time.
 
-    People are in order of appearance, without simultaneous parts by one sensor. Frames
+    People are in order of appearance, without simultaneous pieces by one sensor. Frames
     without joints are no one's. Tracks that jump too often are one person each.
     """
     from scipy.optimize import linear_sum_assignment  # slow to load
@@ -77,7 +77,7 @@ def people_of(tracks: Sequence[Track]) -> list[list[Part]]:
     if not separable:
         return [[piece] for piece in pieces]
     left = sorted(pieces, key=lambda piece: piece.time[0])
-    people: list[list[Part]] = []
+    people: list[list[Piece]] = []
     while left:
         group = _beginning(left)
         left = [piece for piece in left if piece not in group]
@@ -103,7 +103,7 @@ def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
     return place, velocity
 
 
-def _pieces(tracks: Sequence[Track]) -> tuple[list[Part], bool]:
+def _pieces(tracks: Sequence[Track]) -> tuple[list[Piece], bool]:
     """Return tracks cut where the person may change; uncut, and False, if too often."""
     seen, places, cuts = [], [], list[set[int]]()
     for track in tracks:
@@ -127,14 +127,14 @@ def _pieces(tracks: Sequence[Track]) -> tuple[list[Part], bool]:
     separable, found = sum(map(len, cuts)) <= _MOST, []
     for k, track in enumerate(tracks):
         frames = np.arange(len(seen[k]))
-        for part in np.split(frames, sorted(cuts[k]) if separable else []):
-            if len(part):
-                rows = seen[k][part]
+        for piece in np.split(frames, sorted(cuts[k]) if separable else []):
+            if len(piece):
+                rows = seen[k][piece]
                 sample = rows[:: 1 + len(rows) // _ENOUGH]
                 lengths = _lengths(track.positions[sample], track.skeleton)
-                place, time = places[k][part], track.time[rows]
+                place, time = places[k][piece], track.time[rows]
                 ends = (_motion(time, place, when) for when in (time[0], time[-1]))
-                found.append(Part(k, track.sensor, rows, time, place, lengths, *ends))
+                found.append(Piece(k, track.sensor, rows, time, place, lengths, *ends))
     return found, separable
 
 
@@ -166,7 +166,7 @@ def _lengths(positions: Array, skeleton: Skeleton) -> Array:
     return column_medians(np.stack(columns, axis=1))
 
 
-def _beginning(left: Sequence[Part]) -> list[Part]:
+def _beginning(left: Sequence[Piece]) -> list[Piece]:
     """Return the first piece, and those of its sensor that begin while it lasts."""
     group = [left[0]]
     for piece in left[1:]:
@@ -177,11 +177,11 @@ def _beginning(left: Sequence[Part]) -> list[Part]:
     return group
 
 
-def _overlap(one: Part, other: Part) -> bool:
+def _overlap(one: Piece, other: Piece) -> bool:
     return bool(one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1])
 
 
-def _cost(person: Sequence[Part], piece: Part) -> float:
+def _cost(person: Sequence[Piece], piece: Piece) -> float:
     """Return the cost of assigning a piece to a person."""
     both = [other for other in person if _overlap(other, piece)]
     if any(other.sensor == piece.sensor for other in both):
@@ -212,14 +212,14 @@ def _cost(person: Sequence[Part], piece: Part) -> float:
     return cost + 0.5 * float(change @ change) / (_SPEED + _CHANGE * gap) ** 2
 
 
-def _distances(piece: Part, other: Part) -> Array:
+def _distances(piece: Piece, other: Piece) -> Array:
     """Return distances [m] of the places of two sensors at the same times."""
     inside = (piece.time >= other.time[0]) & (piece.time <= other.time[-1])
     there = [np.interp(piece.time[inside], other.time, x) for x in other.places.T]
     return np.asarray(np.hypot(*(piece.places[inside].T - there)))
 
 
-def _cost_of_lengths(person: Sequence[Part], piece: Part) -> float:
+def _cost_of_lengths(person: Sequence[Piece], piece: Piece) -> float:
     """Return the cost of a piece's lengths against the person's by the same sensor."""
     own = [other for other in person if other.sensor == piece.sensor]
     if not own:

@@ -84,11 +84,14 @@ class Settings:
 
         Raises InputError if there is no such person, or all are asked for of a session.
         """
-        if len(recordings) > 1 and self.body == "all":
+        first = recordings[0]
+        if self.body != "all":
+            return [first.main + 1 if self.body is None else self.body]
+        if len(recordings) > 1:
             raise InputError(
                 "--body all works with one sensor only; choose one person by number"
             )
-        return recordings[0].numbers(self.body)
+        return list(range(1, len(first.takes) + 1))
 
     def clean(
         self,

@@ -1,6 +1,7 @@
 """Moves that hold the planted feet of another skeleton in place."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kinefilter.characters.arrays import Array, Flags, runs
 
@@ -8,10 +9,10 @@ _BLEND = 0.15  # s in which a foot goes from its path to its stance, and back. A
 _TINY = 1e-12
 
 
-def smooth_step(share: Array) -> Array:
+def smooth_step(share: ArrayLike) -> Array:
     """Return the cubic that rises from 0 at 0 to 1 at 1, constant beyond."""
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(share**2 * (3.0 - 2.0 * share))
+    inside = np.clip(np.asarray(share), 0.0, 1.0)
+    return np.asarray(inside**2 * (3.0 - 2.0 * inside))
 
 
 def near_stance(time: Array, planted: Flags) -> Array:

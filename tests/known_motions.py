@@ -14,7 +14,7 @@ from kinefilter.characters import (
     Take,
     standard_body,
 )
-from kinefilter.pipeline.physics import Performance, PhysicsResult, pull_through
+from kinefilter.pipeline.physics import PhysicsResult, Targets, pull_through
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.retarget import find_yaw
 from kinefilter.scenes.library import perform, random_body
@@ -62,7 +62,7 @@ def pulled_through(
     character: PulledCharacter, *targets: Array, stands: NDArray[np.bool_] | None = None
 ) -> PhysicsResult:
     """Pull a character through a motion: time stamps, positions and rotations."""
-    return pull_through([character], [Performance(*targets, stands=stands)])[0]
+    return pull_through([character], [Targets(*targets, stands=stands)])[0]
 
 
 def performed(motion: str, skeleton: Skeleton = KINECT_V2, seed: int = 0) -> Take:

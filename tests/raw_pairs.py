@@ -12,7 +12,7 @@ from kinefilter.characters import KINECT_V1
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.pairing import pair_session
-from kinefilter.pipeline.merge.lag import Track
+from kinefilter.pipeline.merge.lag import Spline
 from kinefilter.pipeline.pairs import read_pairs
 
 __all__ = ["RAW", "compared"]
@@ -42,7 +42,7 @@ def placed_by_wrists(
         np.mean([points[:, names.index(f"{s}WR{k}")] for k in "AB"], axis=0)
         for s in "LR"
     ]
-    track = Track(np.arange(len(points)) * 0.01, np.stack(middle, axis=1))
+    track = Spline(np.arange(len(points)) * 0.01, np.stack(middle, axis=1))
     wrists = truth[:, [joint("WristLeft"), joint("WristRight")]].reshape(-1, 3)
     best: tuple[float, Rotation, Array, float] | None = None
     for lag in np.arange(-50, 51) * 0.01:

@@ -10,7 +10,7 @@ from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch.plan import clip_names, find_sources
-from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.formats.takes import claims_take
 
 

@@ -31,11 +31,11 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export
 from kinefilter.pipeline.formats.export import even_frames, resampled
-from kinefilter.pipeline.formats.recording import numbered, part_paths
+from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
-from kinefilter.pipeline.look.page import contents_of as page_contents
-from kinefilter.pipeline.physics import Performance, pull_through
+from kinefilter.pipeline.look.page import page_contents
+from kinefilter.pipeline.physics import Targets, pull_through
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.settings import Settings
 from kinefilter.scenes.library import perform
@@ -162,7 +162,7 @@ def test_things_stay_where_they_are_when_the_character_starts_again() -> None:
         character.data.qpos[ball] = [2.0, 3.0]
         yield 2
 
-    still = Performance(
+    still = Targets(
         np.array([0.0, 0.03, 60.0]),
         np.tile(body.rest_positions, (3, 1, 1)),
         np.tile(IDENTITY, (3, len(KINECT_V1), 1)),

@@ -23,7 +23,7 @@ from kinefilter.pipeline.lab.hidden_limb_evaluation import (
 )
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined
-from kinefilter.pipeline.lab.limb_recordings import Recording
+from kinefilter.pipeline.lab.limb_recordings import NamedTake
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.workers import workers
@@ -166,7 +166,7 @@ def test_limbs_of_recordings_and_of_other_people_teach_what_limbs_do(
     # Processes take long to start: one for training, none for reading.
     monkeypatch.setattr(hidden_limbs, "workers", partial(workers, 1))
     monkeypatch.setattr(limb_lessons, "workers", partial(ThreadPoolExecutor, 1))
-    recording = Recording("elsewhere", "walk", "take", pair.take)
+    recording = NamedTake("elsewhere", "walk", "take", pair.take)
     monkeypatch.setattr(hidden_limbs, "recordings_in", lambda _: [recording])
     pairs = [pair, replace(pair, subject="s02")]
     options = HiddenLimbs(("left-arm",), ("1",), physics=False)

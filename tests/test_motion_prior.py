@@ -21,7 +21,7 @@ from kinefilter.pipeline.lab.limb_lessons import (
     relative_errors,
     train_prior,
 )
-from kinefilter.pipeline.lab.limb_recordings import Recording
+from kinefilter.pipeline.lab.limb_recordings import NamedTake
 from kinefilter.pipeline.lab.simulation import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
@@ -177,7 +177,7 @@ def test_networks_learn_what_a_limb_does_and_read_back(
 ) -> None:
     monkeypatch.setattr(limb_lessons, "workers", partial(workers, 1))
     pairs = list(simulated_pairs("kinect_v1", people=4))
-    lessons = read_lessons(map(Recording.of, pairs), ("between",))
+    lessons = read_lessons(map(NamedTake.of, pairs), ("between",))
     people = sorted({lesson.person for lesson in lessons})
 
     def rows(some: list[str]) -> list[Lesson]:

@@ -30,7 +30,7 @@ from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.marker_sets import read_marker_set
 from kinefilter.pipeline.lab.pairing import Pairing, pair_session
-from kinefilter.pipeline.merge.lag import Track
+from kinefilter.pipeline.merge.lag import Spline
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes.library import perform, perform_medley
 
@@ -74,7 +74,7 @@ def recordings(
     clock = np.arange(0.0, lag + (1 + drift) * (time[-1] - time[30]), 0.01)
     then = (clock - lag) / (1 + drift) + time[30]
     assert then[0] >= 0.0
-    there = Track(time, positions).at(then)
+    there = Spline(time, positions).at(then)
     placed = 1000 * (TURN.apply(there.reshape(-1, 3)) + SHIFT).reshape(there.shape)
     return take, Mocap(skeleton.joints, placed, None, 0.01, "x/m.c3d")
 

@@ -203,14 +203,14 @@ def test_unknown_reliability_is_marked_on_the_page(
 
 
 def test_curves_are_the_derivatives_of_closed_forms(make_pair: MakePair) -> None:
-    from kinefilter.pipeline.look.page import contents_of
+    from kinefilter.pipeline.look.page import page_contents
 
     clip, _ = make_pair(60)
     still = clip.at(np.zeros(60, dtype=int))
     still = replace(still, time=clip.time)
     moved = replace(still, root=still.root + [0.0, 0.0, 2.0] * clip.time[:, None] ** 3)
     pair = replace(compare(*make_pair(60)), clip=moved, raw=still.positions)
-    speed, jitter = contents_of(pair, ())["curves"]
+    speed, jitter = page_contents(pair, ())["curves"]
     third = _numbers(jitter["clean"], "f4")
     np.testing.assert_allclose(third[np.isfinite(third)], 12.0, rtol=1e-4)
     first = _numbers(speed["clean"], "f4")

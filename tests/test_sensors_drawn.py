@@ -23,7 +23,7 @@ from kinefilter.pipeline.lab.simulation import SimulatedView, simulate_session
 from kinefilter.pipeline.look.drawing import Drawing, Sensor
 from kinefilter.pipeline.look.viewer import status_html
 from kinefilter.pipeline.merge import Merged
-from kinefilter.pipeline.merge.lag import Track
+from kinefilter.pipeline.merge.lag import Spline
 from kinefilter.scenes.sensor import in_sensor_frame
 from kinefilter.scenes.sensor.geometry import SENSORS
 
@@ -92,7 +92,7 @@ def test_every_sensor_has_the_joints_before_it_where_it_saw_them(
         own = [k for k, name in enumerate(take.skeleton.joints) if name in names[3:]]
         there = [names.index(take.skeleton.joints[k]) for k in own]
         seen = _in_own_frame(sensor.positions, sensor)[:, there]
-        given = Track(mended.time, mended.positions).at(stamps)
+        given = Spline(mended.time, mended.positions).at(stamps)
         # Where the tracker took left for right, they were put back.
         apart = _apart(seen, given, own, np.array(take.skeleton.mirror)[own])
         assert np.isfinite(apart).mean() > 0.8

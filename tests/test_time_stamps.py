@@ -14,7 +14,7 @@ from kinefilter.characters import InputError, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.look.comparison import compare
-from kinefilter.pipeline.look.page import contents_of
+from kinefilter.pipeline.look.page import page_contents
 
 TAKE = read_take("scenes/takes/wave_punch_bend.csv")
 QUICK = CleanConfig(method="none", physics=False)
@@ -136,7 +136,7 @@ def test_figures_of_two_frames_that_are_not_known_are_told_as_empty(
     assert row.count("-") == 3
     known = json.loads(figures.read_text())
     assert [known[stage]["jitter"] for stage in ("raw", "corrected")] == [None, None]
-    page = contents_of(compare(two, _first(2)), ())
+    page = page_contents(compare(two, _first(2)), ())
     assert next(m for m in page["metrics"] if m["name"] == "jitter")["clean"] is None
     json.dumps(page, allow_nan=False)
 

@@ -33,7 +33,7 @@ from kinefilter.pipeline.lab.limb_lessons import (
     train_prior,
     with_prior,
 )
-from kinefilter.pipeline.lab.limb_recordings import Recording, recordings_in
+from kinefilter.pipeline.lab.limb_recordings import NamedTake, recordings_in
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import HANGING, Mode
 from kinefilter.pipeline.workers import workers
@@ -114,7 +114,7 @@ def main() -> None:
     teachers += [one for path in pairs for one in tests[path]]
     modes = ("unseen",) if spans == SPANS[:1] else get_args(Mode)
     lessons = read_lessons(teachers, modes)
-    groups: dict[str, list[Recording]] = {}
+    groups: dict[str, list[NamedTake]] = {}
     for path, recordings in tests.items():
         for one in recordings:
             groups.setdefault(one.person if path in pairs else "", []).append(one)

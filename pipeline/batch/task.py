@@ -15,8 +15,8 @@ from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
+from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.plain import finite, printable
-from kinefilter.pipeline.formats.recording import numbered, part_paths
 from kinefilter.pipeline.settings import Settings, fingerprint, hash_of
 from kinefilter.pipeline.workers import give_back_memory, given_up, one_thread
 

@@ -16,7 +16,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
-from kinefilter.pipeline.formats.recording import numbered, part_paths
+from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (
@@ -93,10 +93,10 @@ class Clean:
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
         recordings = [settings.read(path) for path in self.takes]
-        recording = recordings[0]
-        several = len(recording.takes) > 1 and settings.body == "all"
+        recording, numbers = recordings[0], settings.people(recordings)
+        several = len(numbers) > 1
         others = (self.json, self.save_contacts, self.report)
-        for body in settings.people(recordings):
+        for body in numbers:
             number, take = body if several else None, recording.take(body)
             clip = None if self.one_file else number
             split = settings.config.gaps == "split"
@@ -109,7 +109,7 @@ class Clean:
             for written in others[1:] if several else ():
                 if written is not None:
                     check_output(numbered(written, number), *used, self.json)
-        results = self._cleaned(recordings)
+        results = self._cleaned(recordings, numbers)
         if self.one_file:
             clips = [result.clip for result, _ in results.values()]
             write_people(clips, self.out, settings.export)
@@ -153,10 +153,10 @@ class Clean:
         check_outputs(written, *used)
 
     def _cleaned(
-        self, recordings: list[Recording]
+        self, recordings: list[Recording], numbers: list[int]
     ) -> dict[int, tuple[CleanResult, Merged | None]]:
-        """Return the results for each requested person, by number."""
-        settings, numbers = self.settings, self.settings.people(recordings)
+        """Return the results of the people who can be cleaned, by number."""
+        settings = self.settings
         for name in ("contacts", "edits"):
             if getattr(settings.config, name) is not None and len(numbers) > 1:
                 hint = "choose one with --body"

@@ -112,7 +112,7 @@ def read_azure(source: str) -> Recording:
         for take in odd
     )
     takes = tuple(replace(take, face=None) if take in odd else take for take in takes)
-    return Recording(takes, "azure", unit="mm", notes=(note, *notes))
+    return Recording(takes, unit="mm", notes=(note, *notes))
 
 
 def _face(places: Array, level: Array) -> Array:

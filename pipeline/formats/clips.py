@@ -19,7 +19,7 @@ from kinefilter.retarget.rig_map import RIGS, RigMap, load_rig_map, rig_map_of
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig
 
 from .bvh import Bvh, meters_by_leg, read_bvh, write_bvh
-from .export import USD_SUFFIXES, Export, shaped, with_frame_rate, with_y_up
+from .export import USD_SUFFIXES, Export, from_z_up, shaped, with_frame_rate
 from .fbx import blender_command, write_fbx
 from .files import AnyPath, check_file, check_folder, parse_toml, read_limited
 from .glb import write_glb
@@ -156,7 +156,7 @@ def _own_bvh_clip(bvh: Bvh, source: str) -> Clip | None:
     leg = np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee)
     meters = meters_by_leg(float(leg))
     if abs((head - ankle)[2]) > abs((head - ankle)[1]):
-        offsets, rotations, root = map(with_y_up, (offsets, rotations, root))
+        offsets, rotations, root = map(from_z_up, (offsets, rotations, root))
     motion = motion_of_rig(
         skeleton, meters * offsets, rotations, meters * root, bvh.time, source
     )

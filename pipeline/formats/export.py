@@ -164,7 +164,7 @@ class Export:
         return turned
 
 
-def with_y_up(values: Array) -> Array:
+def from_z_up(values: Array) -> Array:
     """Convert directions (..., 3) or rotations wxyz (..., 4) from z up to y up."""
     turned = values.copy()
     turned[..., -2], turned[..., -1] = values[..., -1], -values[..., -2]

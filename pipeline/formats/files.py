@@ -13,10 +13,10 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath
 from tempfile import TemporaryFile
 from tokenize import TokenError
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array, shown
 
 AnyPath = str | os.PathLike[str]
+_Path = TypeVar("_Path", bound=PurePath)
 
 _Stream = io.BufferedReader | gzip.GzipFile
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -88,6 +89,19 @@ def as_path(path: AnyPath) -> Path:
     except (TypeError, OSError):  # not a name at all, or too long
         raise InputError(f"{shown(path)}: is not a valid file name") from None
     return found
+
+
+def numbered(path: _Path, body: int | None) -> _Path:
+    """Return the path for one of several people: ``clip.2.usda`` for ``clip.usda``."""
+    return path if body is None else path.with_name(f"{path.stem}.{body}{path.suffix}")
+
+
+def part_paths(path: _Path, parts: int) -> list[_Path]:
+    """Return a path per part of a take: ``clip.part1.usda`` and so on."""
+    if parts == 1:
+        return [path]
+    names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
+    return [path.with_name(name) for name in names]
 
 
 @contextmanager

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import PurePath
-from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -13,12 +11,11 @@ from kinefilter.characters.anthropometry import unit_hint
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.motion import nominal_step
-from kinefilter.pipeline.people import Part, Track, people_of
+from kinefilter.pipeline.people import Piece, Track, people_of
 
 from .plain import counted
 from .rows import MOST_FRAMES
 
-_Path = TypeVar("_Path", bound=PurePath)
 Notes = tuple[str, ...]
 
 FASTEST = 2000.0  # frames/s, of marker mocap
@@ -61,12 +58,6 @@ class Recording:
     def main(self) -> int:
         """Index of the person tracked in most frames."""
         return int(np.argmax([take.state.any(axis=1).sum() for take in self.takes]))
-
-    def numbers(self, body: int | Literal["all"] | None) -> list[int]:
-        """Return the requested people's numbers, from 1; None is the main person."""
-        if body == "all":
-            return list(range(1, len(self.takes) + 1))
-        return [self.main + 1 if body is None else body]
 
     def take(self, body: int | None = None) -> Take:
         """Return a person's take, from 1, or raise InputError; None is the main one."""
@@ -112,19 +103,6 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
     for take in takes:
         check_rate(take.time, source)
     return replace(recording, takes=takes)
-
-
-def numbered(path: _Path, body: int | None) -> _Path:
-    """Return the path for one of several people: ``clip.2.usda`` for ``clip.usda``."""
-    return path if body is None else path.with_name(f"{path.stem}.{body}{path.suffix}")
-
-
-def part_paths(path: _Path, parts: int) -> list[_Path]:
-    """Return a path per part of a take: ``clip.part1.usda`` and so on."""
-    if parts == 1:
-        return [path]
-    names = (f"{path.stem}.part{k}{path.suffix}" for k in range(1, parts + 1))
-    return [path.with_name(name) for name in names]
 
 
 def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:
@@ -285,12 +263,12 @@ def takes_of_people(
         if np.isfinite(track.positions).any():
             check_extent(track.positions, source)
     found = [
-        (parts, np.concatenate([bodies[part.track][part.rows] for part in parts]))
-        for parts in people_of(tracks)
+        (pieces, np.concatenate([bodies[piece.track][piece.rows] for piece in pieces]))
+        for pieces in people_of(tracks)
     ]
     longest = max((len(rows) for _, rows in found), default=0)
     fewest = max(_FEWEST, min(_GHOST_SHARE * longest, _GHOST_FRAMES))
-    people = [(parts, rows) for parts, rows in found if len(rows) >= fewest]
+    people = [(pieces, rows) for pieces, rows in found if len(rows) >= fewest]
     if not people:
         raise InputError(
             f"{source}: no one is tracked for two frames or more; record again with "
@@ -314,16 +292,16 @@ def takes_of_people(
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
         takes.append(Take(time[span], places, states, skeleton, name, face=face))
-    return tuple(takes), _change_notes([parts for parts, _ in people], tracks)
+    return tuple(takes), _change_notes([pieces for pieces, _ in people], tracks)
 
 
-def _change_notes(people: Sequence[Sequence[Part]], tracks: Sequence[Track]) -> Notes:
+def _change_notes(people: Sequence[Sequence[Piece]], tracks: Sequence[Track]) -> Notes:
     begin = min(float(track.time[0]) for track in tracks)
     changes = sorted(
-        float(tracks[part.track].time[part.rows[0]]) - begin
-        for parts in people
-        for last, part in pairwise(parts)
-        if last.track != part.track
+        float(tracks[piece.track].time[piece.rows[0]]) - begin
+        for pieces in people
+        for last, piece in pairwise(pieces)
+        if last.track != piece.track
     )
     if not changes:
         return ()

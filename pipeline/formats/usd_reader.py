@@ -16,7 +16,7 @@ from kinefilter.characters import Clip, InputError, Prop, Shape, Skeleton, stand
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import normalize, wxyz_from_matrix
 
-from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, name_tables, with_y_up
+from .export import DAMAGED, GAMMA, PER_CLIP, PER_FRAME, from_z_up, name_tables
 from .files import refused
 from .npz import clip_as_arrays
 from .rig import motion_of_rig, own_skeleton, rig_of
@@ -75,7 +75,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
             codes = [code for code in codes if code in frames]
         meters = UsdGeom.GetStageMetersPerUnit(stage)
         z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
-        axes = with_y_up if z_up else np.asarray
+        axes = from_z_up if z_up else np.asarray
         animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
         rest = np.array(UsdSkel.Skeleton(skeleton_prim).GetRestTransformsAttr().Get())
         places = _samples(animation.GetTranslationsAttr(), codes)
@@ -122,7 +122,7 @@ def rest_arrays(path: str) -> dict[str, NDArray[Any]]:
         names, parents, matrices = _joints(UsdSkel.Skeleton(prims[0]), path)
     rows = (matrices @ world)[:, :, :3]  # the joint's axes, then its place
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        rows = with_y_up(rows)
+        rows = from_z_up(rows)
     places = rows[:, 3] * UsdGeom.GetStageMetersPerUnit(stage)
     turned = np.swapaxes(rows[:, :3], 1, 2)
     sizes = np.linalg.norm(turned, axis=1, keepdims=True)

@@ -29,7 +29,7 @@ from .accuracy import LIMBS, within_uncertainty
 from .evaluate import followed
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
 from .limb_lessons import Lesson, joined, read_lessons, train_prior, with_prior
-from .limb_recordings import Recording, recordings_in
+from .limb_recordings import NamedTake, recordings_in
 from .systems import CorrectorFactory, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]
@@ -146,7 +146,7 @@ def _folds(
     lessons: list[Lesson] = []
     if recordings:
         read = [one for file in recordings for one in recordings_in(file)]
-        read += map(Recording.of, pairs)
+        read += map(NamedTake.of, pairs)
         mode: Mode = "before" if options.live else "between"
         lessons = read_lessons(over(read, "read", progress), (mode, "unseen"))
     for person in people:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.merge.lag import Clock, Track, correlations, with_drift
+from kinefilter.pipeline.merge.lag import Clock, Spline, correlations, with_drift
 from kinefilter.pipeline.merge.rigid import SIGMA, placement
 
 SHORTEST_FOR_DRIFT = 20.0  # s: least overlap for estimating drift. A guess.
@@ -30,10 +30,10 @@ class Lag(NamedTuple):
     correlation: float
 
 
-def distances(track: Track) -> Array:
+def distances(spline: Spline) -> Array:
     """Return distances between all joints [m], 1/_RATE s apart, (N, J (J - 1) / 2)."""
-    count = int((track.time[-1] - track.time[0]) * _RATE) + 1
-    positions = track.at(track.time[0] + np.arange(count) / _RATE)
+    count = int((spline.time[-1] - spline.time[0]) * _RATE) + 1
+    positions = spline.at(spline.time[0] + np.arange(count) / _RATE)
     one, other = np.triu_indices(positions.shape[1], 1)
     return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))
 
@@ -59,7 +59,7 @@ def best_lag(first: Array, second: Array, least: float) -> Lag | None:
     return Lag(float(lags[best] + shift) / _RATE, float(scores[best]))
 
 
-def refine_lag(take: Track, mocap: Track, clock: Clock) -> Clock:
+def refine_lag(take: Spline, mocap: Spline, clock: Clock) -> Clock:
     """Return the clock with the lag that a rigid transform explains best."""
     times = take.time[:: max(len(take.time) // _FRAMES, 1)]
     seen = take.at(times)

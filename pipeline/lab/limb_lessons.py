@@ -53,7 +53,7 @@ from kinefilter.pipeline.reconstruct.windows import (
 )
 from kinefilter.pipeline.workers import workers
 
-from .limb_recordings import Recording, recordings_in
+from .limb_recordings import NamedTake, recordings_in
 
 _SHORTEST, _LONGEST = 0.4, 4.0  # s for which a limb is hidden
 _CONTEXT = 6  # frames before and after a stretch in which the limb is visible
@@ -96,7 +96,7 @@ class Lesson(NamedTuple):
     rows: Lessons
 
 
-def lesson_of(recording: Recording, modes: Sequence[Mode]) -> Lesson:
+def lesson_of(recording: NamedTake, modes: Sequence[Mode]) -> Lesson:
     """Hide limbs in stretches of a recording, drawn by its name, or in all of it."""
     draft = Cleaner().until("measure").whole(recording.take)
     rng = np.random.default_rng(zlib.crc32(recording.name.encode()))
@@ -278,7 +278,7 @@ def joint_error(
     return loss.sum(axis=(1, 2)) / scale, gradient.reshape(outputs.shape)
 
 
-def read_lessons(recorded: Iterable[Recording], modes: Sequence[Mode]) -> list[Lesson]:
+def read_lessons(recorded: Iterable[NamedTake], modes: Sequence[Mode]) -> list[Lesson]:
     """Return ``lesson_of`` for every recording, computed on all cores."""
     with workers() as pool:
         return list(pool.map(partial(lesson_of, modes=modes), recorded))
@@ -287,7 +287,7 @@ def read_lessons(recorded: Iterable[Recording], modes: Sequence[Mode]) -> list[L
 def train_prior_on(pairs: Iterable[PairedTake]) -> MotionPrior:
     """Train a prior on clips."""
     modes = get_args(Mode)
-    return train_prior(joined(lesson_of(Recording.of(pair), modes) for pair in pairs))
+    return train_prior(joined(lesson_of(NamedTake.of(pair), modes) for pair in pairs))
 
 
 def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cleaner:

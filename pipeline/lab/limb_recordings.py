@@ -21,7 +21,7 @@ _MOCAP_RATE = 30.0  # Hz
 _SHARE_OF_PAIRS = 0.15
 
 
-class Recording(NamedTuple):
+class NamedTake(NamedTuple):
     """A take with the names of the person, movement and clip."""
 
     person: str
@@ -37,15 +37,15 @@ class Recording(NamedTuple):
         return cls(*names, pair.take, _SHARE_OF_PAIRS)
 
 
-def recordings_in(file: Path) -> Iterator[Recording]:
+def recordings_in(file: Path) -> Iterator[NamedTake]:
     """Yield the recordings in a pairs file (.npz), mocap (.bvh) or a take."""
     name = file.name.partition(".")[0]
     if file.suffix == ".npz":
-        yield from map(Recording.of, read_pairs(file))
+        yield from map(NamedTake.of, read_pairs(file))
     else:
         is_mocap = ".bvh" in file.suffixes
         take = _take_of_mocap(file, name) if is_mocap else read_take(file)
-        yield Recording(name, name, name, take)
+        yield NamedTake(name, name, name, take)
 
 
 def _take_of_mocap(file: Path, name: str) -> Take:

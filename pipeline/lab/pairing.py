@@ -16,7 +16,7 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
-from kinefilter.pipeline.merge.lag import Clock, Track
+from kinefilter.pipeline.merge.lag import Clock, Spline
 from kinefilter.pipeline.merge.rigid import SIGMA, Placement, placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -82,7 +82,7 @@ class _Match(NamedTuple):
 
     clip: str
     take: Take
-    mocap: Track  # all joints, in its own axes
+    mocap: Spline  # all joints, in its own axes
     clock: Clock
     notes: tuple[str, ...]
 
@@ -167,14 +167,14 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
             f"{', '.join(absent)}: not in both recordings, so left out; are markers "
             "missing, or labeled otherwise?"
         )
-    mocap_track = Track(time, positions[:, common])
-    tracks = Track(take.time, take.positions[:, common]), mocap_track
-    length = min(float(track.time[-1] - track.time[0]) for track in tracks)
+    mocap_spline = Spline(time, positions[:, common])
+    splines = Spline(take.time, take.positions[:, common]), mocap_spline
+    length = min(float(spline.time[-1] - spline.time[0]) for spline in splines)
     if length < _SHORTEST:
         raise InputError(
             f"{both}: {length:.2g} s is too short; expected {_SHORTEST:g} s or more"
         )
-    apart = [distances(track) for track in tracks]
+    apart = [distances(spline) for spline in splines]
     for values, source in zip(apart, (take.source, joints.source), strict=True):
         if not np.nanstd(values - column_medians(values)) > _LEAST_MOVED:
             raise InputError(
@@ -193,8 +193,8 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
         clock = find_drift(apart[0], apart[1], clock) or clock
     else:
         notes.append(f"{length:.1f} s is too short to tell whether the clocks drift")
-    clock = refine_lag(*tracks, clock)
-    match = _Match(clip, take, Track(time, positions), clock, tuple(notes))
+    clock = refine_lag(*splines, clock)
+    match = _Match(clip, take, Spline(time, positions), clock, tuple(notes))
     explained = _explained(match, _placed([match]))
     if not explained >= least:
         raise InputError(

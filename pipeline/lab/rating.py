@@ -10,7 +10,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -44,15 +44,22 @@ Motions = dict[str, Path]  # files of a system, by motion
 Trial = tuple[tuple[int, int], ...]  # clips (motion, system) shown at once
 
 
-def find_system(word: str) -> tuple[str, Motions]:
-    """Return the name and the motions of a system given as NAME=PATH or as a path."""
-    name, equals, path = word.partition("=")
-    if not equals or as_path(word).exists():
-        name, path = as_path(word).name, word
-        name = name if as_path(word).is_dir() else _motion_in(Path(name))
-    if not name or not path:
-        raise InputError(f"{word!r}: expected a clip, a folder of clips, or NAME=PATH")
-    return name, motions_of(as_path(path))
+def find_systems(words: Sequence[str]) -> dict[str, Motions]:
+    """Return the motions of systems given as NAME=PATH or as paths, by name."""
+    systems: dict[str, Motions] = {}
+    for word in words:
+        name, equals, path = word.partition("=")
+        if not equals or as_path(word).exists():
+            name, path = as_path(word).name, word
+            name = name if as_path(word).is_dir() else _motion_in(Path(name))
+        if not name or not path:
+            expected = "a clip, a folder of clips, or NAME=PATH"
+            raise InputError(f"{word!r}: expected {expected}")
+        if name in systems:
+            wrong = f"another system is also called {name!r}"
+            raise InputError(f"{word}: {wrong}; rename it as NAME=PATH")
+        systems[name] = motions_of(as_path(path))
+    return systems
 
 
 def motions_of(path: Path) -> Motions:
@@ -109,21 +116,17 @@ def planned(
                 left, right = (a, b) if ahead == (k % 2 == 0) else (b, a)
                 trials.append(((motion, who[left]), (motion, who[right])))
     trials = [trials[k] for k in rng.permutation(len(trials))]
-    return trials + (trials[:repeats] if single else _swapped(trials, repeats))
-
-
-def _swapped(trials: Sequence[Trial], count: int) -> list[Trial]:
-    """Return some pairs with swapped sides, the earliest that keep sides balanced."""
-    lead = Counter(left for (_, left), _ in trials)  # how much more often left
-    lead.subtract(right for _, (_, right) in trials)  # than right, by system
-    rest, again = list(trials), list[Trial]()
-    while rest and len(again) < count:
-        pair = min(rest, key=lambda pair: lead[pair[1][1]] - lead[pair[0][1]])
-        rest.remove(pair)
-        again.append(pair[::-1])
-        lead[pair[1][1]] += 1
-        lead[pair[0][1]] -= 1
-    return again
+    # Repeated with swapped sides: the earliest pairs that keep the sides balanced.
+    lead = Counter(trial[0][1] for trial in trials)  # how much more often left
+    lead.subtract(trial[-1][1] for trial in trials)  # than right, by system
+    rest = list(trials)
+    for _ in range(min(repeats, len(rest))):
+        again = min(rest, key=lambda trial: lead[trial[-1][1]] - lead[trial[0][1]])
+        rest.remove(again)
+        trials.append(again[::-1])
+        lead[again[-1][1]] += 1
+        lead[again[0][1]] -= 1
+    return trials
 
 
 def write_rating_page(
@@ -150,10 +153,9 @@ def write_rating_page(
     listed = {**systems, **({"--reference": reference} if reference else {})}
     motions, names = matched(listed), list(systems)
     plan = planned(len(names), len(motions), single=single, repeats=repeats, seed=seed)
-    order = [(m, s) for m in range(len(motions)) for s in range(len(names))]
-    shuffled = np.random.default_rng((seed, 1)).permutation(len(order))
-    order = [order[k] for k in shuffled]
-    stages, packed_clips = [], list[dict[str, Any]]()
+    every = list(product(range(len(motions)), range(len(names))))
+    numbered = np.random.default_rng((seed, 1)).permutation(every).tolist()
+    stages, drawn = [], list[list[dict[str, Any]]]()  # by motion, then by system
     skeleton: Skeleton | None = None
     for m, motion in enumerate(over(motions, "read", progress)):
         files = [own.get(motion) or next(iter(own.values())) for own in listed.values()]
@@ -164,7 +166,7 @@ def write_rating_page(
         if reference is not None:
             stage["reference"] = _packed(clips.pop())
         stages.append(stage)
-        packed_clips += [{"motion": m, **_packed(clip)} for clip in clips]
+        drawn.append([{"motion": m, **_packed(clip)} for clip in clips])
     word = "natural" if reference is None else "accurate"
     question = f"How {word} is {'the' if single else 'each'} movement"
     compared = "" if reference is None else ", compared with what the person did"
@@ -176,15 +178,15 @@ def write_rating_page(
         "joints": clips[0].skeleton.joints,
         "parents": clips[0].skeleton.parents,
         "motions": stages,
-        "clips": [packed_clips[k] for k in shuffled],
-        "trials": [[order.index(clip) for clip in trial] for trial in plan],
+        "clips": [drawn[m][s] for m, s in numbered],
+        "trials": [[numbered.index([*clip]) for clip in trial] for trial in plan],
     }
     page = hashlib.sha256(json.dumps(contents).encode()).hexdigest()[:16]
     key_contents = {
         "page": page,
         "systems": names,
         "motions": motions,
-        "clips": [{"system": names[s], "motion": motions[m]} for m, s in order],
+        "clips": [{"system": names[s], "motion": motions[m]} for m, s in numbered],
         "trials": contents["trials"],
     }
     with new_text(key) as file:

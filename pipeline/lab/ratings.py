@@ -7,12 +7,12 @@ normal, corrected after Holm 1979 (Scandinavian Journal of Statistics 6).
 
 import json
 from collections.abc import Sequence
-from itertools import combinations, permutations
+from itertools import chain, combinations, permutations, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 from scipy import stats
 
 from kinefilter.characters import InputError
@@ -52,10 +52,10 @@ def read_key(path: Path) -> Key:
             (systems.index(clip["system"]), motions.index(clip["motion"]))
             for clip in content["clips"]
         ]
-        trials = [tuple(sorted(_integers(trial))) for trial in content["trials"]]
-        seen = {clip for trial in trials for clip in trial}
-        whole = len(set(clips)) == len(clips) == len(systems) * len(motions)
-        whole = whole and seen == set(range(len(clips))) and len(systems) > 1
+        trials = [tuple(sorted(trial)) for trial in content["trials"]]
+        every = product(range(len(systems)), range(len(motions)))
+        whole = len(systems) > 1 and sorted(clips) == list(every)
+        whole = whole and {*chain.from_iterable(trials)} == {*range(len(clips))}
         if not whole or {len(trial) for trial in trials} not in ({1}, {2}):
             raise ValueError
         return Key(str(content["page"]), systems, motions, clips, trials)
@@ -91,9 +91,10 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
             f"{path}: answers {other}; the key is of page {shown(key.page)}"
         )
     try:
-        answers = [(_integers(k["shown"]), tuple(k["grades"])) for k in given or ()]
+        rows = [(k["shown"], tuple(k["grades"])) for k in given or ()]
+        answers = [(tuple(map(int, clips)), grades) for clips, grades in rows]
         seen = sorted(tuple(sorted(clips)) for clips, _ in answers)
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise InputError(f"{path}: damaged answers; ask for the file again") from None
     if seen != sorted(key.trials) or not isinstance(rater, str) or not rater.strip():
         raise InputError(
@@ -108,12 +109,6 @@ def _answers_in(path: Path, key: Key) -> tuple[str, list[Answer]]:
                 f"{len(clips)} from 1 to {HIGHEST}; ask the rater to finish"
             )
     return printable(rater), answers
-
-
-def _integers(values: Any) -> tuple[int, ...]:
-    if not all(type(value) is int for value in values):
-        raise TypeError
-    return tuple(values)
 
 
 def _read(path: Path) -> Figures:
@@ -135,20 +130,19 @@ def summarize(raters: Raters, key: Key) -> Figures:
     grades = np.array([_grades(answers, key) for answers in raters.values()])  # R, S, M
     means, by_motion = grades.mean(axis=2), grades.mean(axis=0)
     count = len(key.systems)
-    better = np.zeros((count, count), dtype=int)  # [a, b]: a was graded higher than b
-    equal = np.zeros_like(better)
-    for clips, given in (answer for answers in raters.values() for answer in answers):
+    # How often a had a higher grade than b, the same and a lower one, [a, b, :].
+    compared = np.zeros((count, count, 3), dtype=int)
+    for clips, given in chain.from_iterable(raters.values()):
         for (a, first), (b, second) in permutations(zip(clips, given, strict=True), 2):
-            two = key.clips[a][0], key.clips[b][0]
-            better[two] += first > second
-            equal[two] += first == second
-    won = better.sum(axis=1) + equal.sum(axis=1) / 2
-    met = better.sum(axis=1) + better.sum(axis=0) + equal.sum(axis=1)
+            outcome = 1 - np.sign(first - second)
+            compared[key.clips[a][0], key.clips[b][0], outcome] += 1
+    preferred = compared.sum(axis=1) @ [1.0, 0.5, 0.0]
+    met = compared.sum(axis=(1, 2))
     systems = {
         name: {
             **_mean(means[:, s]),
             "sd": float(grades[:, s].std(ddof=1)) if grades[:, s].size > 1 else np.nan,
-            "preferred": float(won[s] / met[s]) if met[s] else np.nan,
+            "preferred": float(preferred[s] / met[s]) if met[s] else np.nan,
             "motions": dict(zip(key.motions, by_motion[s].tolist(), strict=True)),
         }
         for s, name in enumerate(key.systems)
@@ -158,8 +152,8 @@ def summarize(raters: Raters, key: Key) -> Figures:
             "systems": [key.systems[a], key.systems[b]],
             **_mean(means[:, a] - means[:, b]),
             "p": wilcoxon(means[:, a] - means[:, b]),
-            "better": [int(better[a, b]), int(better[b, a])],
-            "equal": int(equal[a, b]),
+            "better": compared[a, b, [0, 2]].tolist(),
+            "equal": int(compared[a, b, 1]),
         }
         for a, b in combinations(range(count), 2)
     ]
@@ -222,26 +216,26 @@ def _agreement(answers: Sequence[Answer]) -> Figures:
 
 def as_tables(figures: Figures) -> tuple[Table, Table]:
     """Return tables of the systems and of their pairs for the terminal."""
-    systems = Table("system", title=f"grades, 1 to {HIGHEST}")
-    pairs = Table("difference", title="pairs of systems")
-    for table, headings in (
-        (systems, ("mean", "95 % interval", "SD", "preferred")),
-        (pairs, ("mean", "95 % interval", "p", "Holm", "more, same, less")),
-    ):
-        for heading in headings:
-            table.add_column(heading, justify="right", no_wrap=True)
+
+    def right(*headings: str) -> list[Column]:
+        return [Column(name, justify="right", no_wrap=True) for name in headings]
+
+    columns = right("mean", "95 % interval", "SD", "preferred")
+    systems = Table("system", *columns, title=f"grades, 1 to {HIGHEST}")
     for name, row in figures["systems"].items():
         preferred = _figure(100 * row["preferred"], 0, " %")
         systems.add_row(name, *_interval(row), _figure(row["sd"]), preferred)
+    systems.caption = (
+        f"{counted(len(figures['raters']), 'rater')}; preferred: share of the pairs in "
+        "which the system had the higher grade"
+    )
+    columns = right("mean", "95 % interval", "p", "Holm", "more, same, less")
+    pairs = Table("difference", *columns, title="pairs of systems")
     for row in figures["pairs"]:
         better, worse = row["better"]
         counts = f"{better}, {row['equal']}, {worse}" if better + worse else ""
         ps = [_figure(row[p], 4) for p in ("p", "p_holm")]
         pairs.add_row(" - ".join(row["systems"]), *_interval(row), *ps, counts)
-    systems.caption = (
-        f"{counted(len(figures['raters']), 'rater')}; preferred: share of the pairs in "
-        "which the system had the higher grade"
-    )
     pairs.caption = "p: Wilcoxon's signed-rank test over raters, and after Holm"
     return systems, pairs
 

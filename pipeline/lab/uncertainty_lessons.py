@@ -31,7 +31,7 @@ from .accuracy import within_uncertainty
 from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN, Guess, hide
 from .limb_lessons import joined, read_lessons, train_prior, with_prior
-from .limb_recordings import Recording
+from .limb_recordings import NamedTake
 from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]
@@ -165,7 +165,7 @@ def main(out: Path, files: Sequence[str]) -> None:
     """Train on pairs files, and write the weights."""
     pairs = [pair for file in files for pair in read_pairs(file)]
     people = sorted({pair.subject for pair in pairs})
-    taught = read_lessons(map(Recording.of, pairs), get_args(Mode))
+    taught = read_lessons(map(NamedTake.of, pairs), get_args(Mode))
     with workers() as pool:
         jobs = []
         for person in people:

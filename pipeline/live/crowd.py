@@ -19,7 +19,7 @@ from .tally import Event, Tally
 
 _LOST_BY_LEAD = 0.12  # s without the leading sensor until other sensors' frames count
 _GONE = 2.0  # s unseen after which a person is dropped
-_RESTARTED = 2.0  # s: a stamp earlier by more than this means the clock restarted
+RESTARTED = 2.0  # s: a stamp earlier by more than this means the clock restarted
 _STEPS = 15  # steps whose median is the sender's usual one: half a second
 _LONGEST_GAP = 2.0  # s: the person was away for longer ones, and no frame is missing
 MEASURED_FOR = 1.0
@@ -106,7 +106,7 @@ class Stamps:
         if last is None:
             return None, 0
         step = time - last
-        if step < -_RESTARTED:
+        if step < -RESTARTED:
             self._steps.clear()
             return Event.RESTARTED, 0
         if step <= 0.0:

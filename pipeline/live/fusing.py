@@ -104,7 +104,7 @@ class _View:
     def __init__(self, body: Body, corrector: Corrector) -> None:
         cleaner = Cleaner(CleanConfig(tilt=0.0), corrector=corrector).until("correct")
         self._body, self._head = body, cleaner.until("reliability")
-        self._tail = cleaner.stages[len(self._head.stages) :]
+        self._tail = cleaner.without(*(stage.name for stage in self._head.stages))
         self.start()
 
     def start(self) -> None:
@@ -115,8 +115,7 @@ class _View:
         self._waiting: Draft | None = None
         self._swapped = False
         self._head.start(self._body)
-        for stage in self._tail:
-            stage.start(self._body)
+        self._tail.start(self._body)
 
     def take(self, seen: SeenBody, time: float) -> None:
         """Score the next frame, with a time stamp later than the last [s]."""
@@ -133,10 +132,7 @@ class _View:
         if swapped:
             for name in _BY_JOINT:
                 setattr(draft, name, getattr(draft, name)[draft.skeleton.mirror])
-        for stage in self._tail:
-            if draft.appears and not stage.continues:
-                stage.start(self._body)
-            stage.step(draft)
+        self._tail.go_on(draft)
         positions = np.where(draft.missing[:, None], np.nan, draft.positions)
         self._corrected = Sight(positions, draft.reliability, draft.state, _ORIGIN)
 

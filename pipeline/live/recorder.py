@@ -8,8 +8,7 @@ from io import FileIO
 from pathlib import Path
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.pipeline.formats.files import append_whole, check_folder
-from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.files import append_whole, check_folder, numbered
 from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
 from .messages import SeenBody, as_arrays

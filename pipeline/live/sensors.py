@@ -23,7 +23,7 @@ from kinefilter.pipeline.merge.person import displacement
 from kinefilter.pipeline.merge.rigid import Placement
 from kinefilter.pipeline.workers import ProcessDiedError, Workers
 
-from .crowd import Person
+from .crowd import RESTARTED, Person
 from .messages import Frame, SeenBody, as_arrays
 from .tally import Tally
 
@@ -38,7 +38,6 @@ _LAG = 0.05  # s between answers that agree. A guess
 _COPIED = 1e-3  # m: only joints of the same stream, given twice, are so close
 _DARK = 2.0  # s without a person
 _JUMP = 1.0  # s that a clock gains on ours if it was set
-_RESTARTED = 2.0  # s backwards that are not just a frame out of order
 _TIMED = 15  # frames that it takes to compare a clock with ours
 _SAME = 0.6  # m between one person's joints in two sensors, on average. A guess.
 
@@ -64,7 +63,7 @@ class Stream:
         jumped = False
         if self.frames:
             step = frame.time - self.frames[-1].time
-            if -_RESTARTED <= step <= 0.0:
+            if -RESTARTED <= step <= 0.0:
                 return False  # late or repeated
             jumped = step < 0.0 or step - (now - self.heard) > _JUMP
         if jumped:
@@ -95,7 +94,7 @@ class Stream:
             for body in rows.values()
             if len(body) >= _MIN_FRAMES and body[-1][0] - body[0][0] >= _MIN_SECONDS
         )
-        return Recording(takes, self.name) if takes else None
+        return Recording(takes) if takes else None
 
 
 class Sensors:

@@ -11,7 +11,7 @@ import numpy as np
 from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import nearest_frames
+from kinefilter.characters.motion import distinct_stamps, nearest_frames
 from kinefilter.pipeline.failures import (
     describe_failures,
     find_displaced,
@@ -94,7 +94,7 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
     clip = _with_stamps_of(take, clip)
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
-    distinct = np.diff(clip.time, prepend=-np.inf) > 0
+    distinct = distinct_stamps(clip.time)
     time, stands = clip.time[distinct], planted_feet(clip.contacts)[distinct]
 
     def figures(positions: Array) -> dict[str, float]:
@@ -291,6 +291,9 @@ def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
 
 def _check_made_from(clip: Clip, take: Take) -> None:
     """Raise an InputError if a take with the same time stamps contradicts the clip."""
+    # Of frames that repeat a time stamp, only the first was used.
+    frames = np.flatnonzero(distinct_stamps(clip.time))
+    count, clip, take = len(clip), clip.at(frames), take.at(frames)
     take = replace(take, positions=leveled(take.positions, 0.0, clip.roll))
     clip = replace(clip, roll=0.0)
     beyond = _disagreement(clip, take)
@@ -299,12 +302,7 @@ def _check_made_from(clip: Clip, take: Take) -> None:
     most = np.nan_to_num(beyond).max(axis=1)
     if (most > _ROUNDING).any():
         # Edits swap left and right; so does cleaning, and turns whom it swapped.
-        distinct = np.diff(clip.time, prepend=-np.inf) > 0
-        mended = take.at(distinct)
-        mended = unmirrored(mended, find_failures(mended))
-        positions = take.positions.copy()
-        positions[distinct] = mended.positions
-        for other in (take.swapped(), replace(take, positions=positions)):
+        for other in (take.swapped(), unmirrored(take, find_failures(take))):
             again = np.nan_to_num(_disagreement(clip, other)).max(axis=1)
             most = np.minimum(most, again)
     wrong = np.flatnonzero(most > _ROUNDING)
@@ -312,10 +310,10 @@ def _check_made_from(clip: Clip, take: Take) -> None:
         worst = int(most.argmax())
         joint = clip.skeleton.joints[int(np.nanargmax(beyond[worst]))]
         raise InputError(
-            f"in {len(wrong)} of {len(clip)} frames the take does not match the clip: "
-            f"{joint} in frame {worst + 1} is {most[worst] * 100:.1f} cm or more from "
-            f"where the clip says it was measured; {_TRY}, the same --body, and a clip "
-            "written without --loop, --root and coarse --keys"
+            f"in {len(wrong)} of {count} frames the take does not match the clip: "
+            f"{joint} in frame {frames[worst] + 1} is {most[worst] * 100:.1f} cm or "
+            f"more from where the clip says it was measured; {_TRY}, the same --body, "
+            "and a clip written without --loop, --root and coarse --keys"
         )
 
 
@@ -323,11 +321,8 @@ def _disagreement(clip: Clip, take: Take) -> Array:
     """Return how far joints are from where the clip allows them to be [m], (T, J).
 
     A joint that correction moved by c and physics by p is c - p to c + p away from its
-    measurement. NaN where nothing was measured, and in frames that repeat a time stamp:
-    only the first of them was used.
+    measurement. NaN where nothing was measured.
     """
     moved = np.linalg.norm(clip.positions - in_world(take, clip), axis=2)
     beyond = np.abs(moved - clip.moved_by_correction)
-    beyond -= np.nan_to_num(clip.moved_by_physics) + _HALF * moved
-    beyond[1:][np.diff(clip.time) == 0.0] = np.nan
-    return np.asarray(beyond)
+    return np.asarray(beyond - np.nan_to_num(clip.moved_by_physics) - _HALF * moved)

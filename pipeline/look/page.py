@@ -84,7 +84,7 @@ def write_report(
     """
     gated = {gate.metric for gate in gates}
     limits = (*(limit for limit in LIMITS if limit.metric not in gated), *gates)
-    contents = contents_of(comparison, limits)
+    contents = page_contents(comparison, limits)
     files = [_TEMPLATE / "page.html", *(_TEMPLATE / f"{name}.js" for name in _SCRIPTS)]
     write_page(path, f"kinefilter: {contents['source']}", contents, files)
 
@@ -112,7 +112,7 @@ def write_page(
         temporary.write_bytes(page.encode("utf-8", "replace"))
 
 
-def contents_of(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
+def page_contents(comparison: Comparison, limits: Sequence[Limit]) -> dict[str, Any]:
     """Return everything that a report shows, ready for ``json.dumps``.
 
     Arrays are ``packed`` frame by frame: positions and distances as int16 [mm], -32768

@@ -13,7 +13,7 @@ import viser
 from kinefilter.characters import Body, TrackingName
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import write_clip
-from kinefilter.pipeline.formats.recording import numbered
+from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.physics.playground import RATE, Playground
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.scenes import SCENES

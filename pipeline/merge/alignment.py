@@ -19,7 +19,7 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.reliability import column_medians
 
-from .lag import MIN_WINDOWS, Clock, Track, correlations, interpolate_gaps, with_drift
+from .lag import MIN_WINDOWS, Clock, Spline, correlations, interpolate_gaps, with_drift
 from .rigid import SIGMA, Placement, placement
 
 _RATE = 20.0  # samples a second to search lags in: joints move below 5 Hz
@@ -142,8 +142,8 @@ def _movement(take: Take) -> Array:
     """
     times = np.arange(take.time[0], take.time[-1], 1.0 / _RATE)
     positions, skeleton = take.positions, take.skeleton
-    height = Track(take.time, positions[..., 1:2]).at(times)[..., 0]
-    root = Track(take.time, positions[:, [skeleton.root]]).at(times)[:, 0]
+    height = Spline(take.time, positions[..., 1:2]).at(times)[..., 0]
+    root = Spline(take.time, positions[:, [skeleton.root]]).at(times)[:, 0]
     height = height - root[:, 1:2]
     columns = [root[:, 1], *height[:, _spine(skeleton)[1:]].T]
     for limb in _LIMBS:
@@ -159,17 +159,17 @@ def _movement(take: Take) -> Array:
     return np.where(np.isnan(np.column_stack([values, speed])), np.nan, found)
 
 
-def _smoothed(take: Take) -> Track:
+def _smoothed(take: Take) -> Spline:
     """Return the tracked joints that determine the lag, low-passed, at even times."""
     joints = _spine(take.skeleton)
     joints += [joint for limb in _LIMBS for joint in take.skeleton.sides(limb)]
     tracked = (take.state == State.TRACKED)[:, joints, None]
-    track = Track(take.time, np.where(tracked, take.positions[:, joints], np.nan))
-    times = np.arange(track.time[0], track.time[-1], 1.0 / _EVEN)
-    flat = track.at(times).reshape(len(times), -1)
+    spline = Spline(take.time, np.where(tracked, take.positions[:, joints], np.nan))
+    times = np.arange(spline.time[0], spline.time[-1], 1.0 / _EVEN)
+    flat = spline.at(times).reshape(len(times), -1)
     even = _filtered(interpolate_gaps(times, flat), _SMOOTH, _EVEN)
     even[np.isnan(flat)] = np.nan
-    return Track(times, even.reshape(len(times), len(joints), 3))
+    return Spline(times, even.reshape(len(times), len(joints), 3))
 
 
 def _median_filled(values: Array) -> Array:
@@ -197,7 +197,7 @@ class _Pair:
         self._times = times[:: max(len(times) // _FRAMES, 1)]
 
     @cached_property
-    def _moving(self) -> list[Track]:
+    def _moving(self) -> list[Spline]:
         return [_smoothed(take) for take in self._takes]
 
     def place(self, clock: Clock) -> tuple[Placement, float, float]:
@@ -271,10 +271,10 @@ def _spine(skeleton: Skeleton) -> list[int]:
     return [skeleton.root, skeleton.girdle, skeleton.index("Head")]
 
 
-def _trunk(take: Take) -> Track:
+def _trunk(take: Take) -> Spline:
     skeleton = take.skeleton
     joints = [*_spine(skeleton), *skeleton.sides("Shoulder"), *skeleton.hips]
-    return Track(take.time, take.positions[:, joints])
+    return Spline(take.time, take.positions[:, joints])
 
 
 def check_sensors(calibration: Sequence[Alignment], sensors: int) -> None:

@@ -16,7 +16,7 @@ _CELLS = 2_000_000  # products at all lags in memory at a time
 _Time = TypeVar("_Time", float, Array)
 
 
-class Track:
+class Spline:
     """Positions [m] (T, J, 3) at nondecreasing stamps [s] (T,), interpolated."""
 
     def __init__(self, time: Array, positions: Array) -> None:

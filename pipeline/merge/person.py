@@ -14,11 +14,12 @@ import numpy as np
 
 from kinefilter.characters import InputError, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import distinct_stamps
 from kinefilter.pipeline.checks import check_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
-from kinefilter.pipeline.people import Part, Track, people_of
+from kinefilter.pipeline.people import Piece, Track, people_of
 
 from .alignment import IDENTITY, Alignment, align
 from .rigid import Placement
@@ -85,8 +86,8 @@ def _score_people(recording: Recording) -> list[tuple[Take, Array]]:
 def _score(take: Take) -> tuple[Take, Array]:
     """Return a take with gross failures repaired, and its reliability (T, J)."""
     check_take(take)
-    distinct = np.concatenate([[True], np.diff(take.time) > 0])
-    found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take.at(distinct))
+    take = take.at(distinct_stamps(take.time))
+    found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take)
     return found.take(), found.reliability
 
 
@@ -147,15 +148,15 @@ def _identify(
             time = found.clock.inverse(take.time)
             tracks.append(Track(time, joints, take.skeleton, s))
 
-    def rows_of_chosen(person: Sequence[Part]) -> int:
+    def rows_of_chosen(person: Sequence[Piece]) -> int:
         return sum(len(p.rows) for p in person if takes[p.track] is chosen)
 
     person = max(people_of(tracks), key=rows_of_chosen)
     own_takes, scores, notes = [], [], []
     own_alignments: list[Alignment] = []
     for s, recording in enumerate(recordings):
-        own = [part for part in person if part.sensor == s]
-        if sum(len(part.rows) for part in own) < 2:
+        own = [piece for piece in person if piece.sensor == s]
+        if sum(len(piece.rows) for piece in own) < 2:
             source = recording.takes[0].source.partition(", body ")[0]
             notes.append(f"{source}: does not show this person, and is left out")
             continue
@@ -163,7 +164,7 @@ def _identify(
         own_takes.append(take)
         scores.append(score)
         own_alignments += alignments[s - 1 : s]  # none for the first sensor
-        sources = dict.fromkeys(takes[part.track].source for part in own)
+        sources = dict.fromkeys(takes[piece.track].source for piece in own)
         if len(sources) > 1:
             told = "are the same person, by place, time and body lengths"
             notes.append(f"parts of {' and '.join(sources)} {told}")

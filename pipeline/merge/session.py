@@ -15,7 +15,7 @@ from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import IDENTITY, Alignment, check_sensors
 from .fusion import Fused, Fusion, Sight
-from .lag import Track
+from .lag import Spline
 from .person import find_person
 
 _NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
@@ -101,8 +101,7 @@ def merge(
         InputError: Fewer than two takes, or takes that do not belong together.
     """
     recordings = [
-        one if isinstance(one, Recording) else Recording((one,), "take")
-        for one in takes
+        one if isinstance(one, Recording) else Recording((one,)) for one in takes
     ]
     if len(recordings) < 2:
         raise InputError("only one take is given; merge needs one per sensor")
@@ -158,7 +157,7 @@ def _sights(
 ) -> list[Sight]:
     """Return what a sensor sees at some times of the first one's clock."""
     stamps = found.clock.at(time)
-    positions = found.placed.apply(Track(take.time, take.positions).at(stamps))
+    positions = found.placed.apply(Spline(take.time, take.positions).at(stamps))
     rows = nearest_frames(take.time, stamps)
     joints = _joint_map(take.skeleton, skeleton)
     positions = np.where(joints[:, None] < 0, np.nan, positions[:, joints])

@@ -1,5 +1,5 @@
 """A simulated character that bounded forces pull through a motion."""
 
-from .filter import Performance, PhysicsResult, PhysicsTrace, pull_through
+from .filter import PhysicsResult, PhysicsTrace, Targets, pull_through
 
-__all__ = ["Performance", "PhysicsResult", "PhysicsTrace", "pull_through"]
+__all__ = ["PhysicsResult", "PhysicsTrace", "Targets", "pull_through"]

@@ -89,7 +89,7 @@ class Carry:
             self._turn = unit(self._turn + (turn - self._turn) * follow)
         along = self._turn @ performer.side
         middle = self._middle(performer, along, follow)
-        risen = smooth_step(np.array((middle[1] - self._grasped_at) / _RISE))
+        risen = smooth_step((middle[1] - self._grasped_at) / _RISE)
         middle += (self._offset - _SINK * self._lifted * UP) * (1.0 - risen)
         ahead = performer.side[1]
         center = middle + self.prop.center - hands.mean(axis=0)

@@ -145,8 +145,8 @@ class Compliance:
         """Return a target (J, 3) and (J, 4), ``dt`` [s] later, changed by the hits."""
         if self._lying is not None:
             self._since += dt
-            self.recovered = float(smooth_step(np.array(self._since / _GRASP_TIME)))
-            share = smooth_step(np.array(self._since / self._tracking.rising))
+            self.recovered = float(smooth_step(self._since / _GRASP_TIME))
+            share = smooth_step(self._since / self._tracking.rising)
             root, relative = self._lying
             goal = positions[self._body.skeleton.root] + self._offset
             own = relative_rotations(rotations, self._body.skeleton)
@@ -157,7 +157,7 @@ class Compliance:
             if share == 1.0 and distance < 1e-3:
                 self._lying = None
             elif share == 1.0:
-                eased = smooth_step(np.array(self._since - self._tracking.rising))
+                eased = smooth_step(self._since - self._tracking.rising)
                 pace = float(eased) * self._tracking.return_speed
                 pace = min(_RETURN_RATE * distance, pace)
                 self._offset *= 1.0 - pace * dt / distance

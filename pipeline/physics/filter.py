@@ -60,7 +60,7 @@ class PhysicsResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Performance:
+class Targets:
     """A person's targets, as for ``PulledCharacter.step``, with a leading axis T."""
 
     time: Array  # time stamps [s], strictly increasing, shape (T,)
@@ -74,7 +74,7 @@ class _Cue:
     """What one character does at the time stamps of everyone, and how it went."""
 
     def __init__(
-        self, character: PulledCharacter, person: Performance, stamps: Array
+        self, character: PulledCharacter, person: Targets, stamps: Array
     ) -> None:
         check_target(person.positions, person.rotations)
         own, count = person.time, len(person.time)
@@ -169,7 +169,7 @@ class _Cue:
 
 def pull_through(
     characters: Sequence[PulledCharacter],
-    people: Sequence[Performance],
+    people: Sequence[Targets],
     frames: Callable[[int], Iterable[int]] = range,
 ) -> list[PhysicsResult]:
     """Pull all characters of a world through their motions, at the same time.

@@ -168,7 +168,7 @@ class Grasp:
         else:
             self._waited = waited
         reached = self._around(prop, places, hands) - palms
-        return smooth_step(np.array(np.clip(share, 0.0, 1.0))) * reached
+        return smooth_step(share) * reached
 
     def _nearest(self, palms: Array) -> Holdable | None:
         """Return the prop nearest to the palms, if they are near it."""

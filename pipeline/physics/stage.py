@@ -14,7 +14,7 @@ from kinefilter.pipeline.stages import SharedStage
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 
-from .filter import Performance, pull_through
+from .filter import Targets, pull_through
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
 from .world import World
@@ -71,7 +71,7 @@ class Physics(SharedStage):
         for draft in drafts:
             seen = seen_hands(draft.reliability, draft.skeleton)
             target = _placed(draft, place)
-            people.append(Performance(draft.time, *target, draft.stands, seen))
+            people.append(Targets(draft.time, *target, draft.stands, seen))
         results = pull_through(characters, people, partial(progress, self.name))
         for draft, result in zip(drafts, results, strict=True):
             draft.positions, draft.rotations = result.positions, result.rotations
@@ -80,7 +80,6 @@ class Physics(SharedStage):
                 draft.rotations = place.restore_rotations(result.rotations)
                 draft.props = result.scene_props.props(place)
             draft.trace = result.trace
-            draft.external_force = result.trace.external_force
 
     def _placement(self, positions: Array, skeleton: Skeleton) -> HeadingFrame | None:
         return None if self._scene is None else find_placement(positions, skeleton)

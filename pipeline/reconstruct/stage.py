@@ -6,6 +6,7 @@ import numpy as np
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Codes, Flags
+from kinefilter.characters.motion import distinct_stamps
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.takes import read_take
@@ -65,7 +66,7 @@ class Reconstruct(Stage):
                     f"{other.source}: is a take of {other.skeleton.name}, but this one "
                     f"is of {skeleton.name}; --same-person needs the same sensor"
                 )
-            new = np.diff(other.time, prepend=-np.inf) > 0
+            new = distinct_stamps(other.time)
             before = other.time[new] + time[0] - _BETWEEN - other.time[-1]
             seen = leveled(other.positions[new], draft.turn.tilt, draft.turn.roll)
             # A take must not learn from itself; its root is as it was recorded.

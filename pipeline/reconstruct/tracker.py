@@ -174,7 +174,7 @@ class HiddenLimbTracker:
             gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
         if gap.recall is not None and gap.learned is not None:
-            share = smooth_step(np.array((time - gap.learned) / _FADES))
+            share = smooth_step((time - gap.learned) / _FADES)
             continued = unit(continued + share * (gap.recall(found)[0] - continued))
         before, end = directions.copy(), limb.hidden[-1]
         directions[list(limb.hidden)] = continued[0]

@@ -1,6 +1,7 @@
 """The commands of user studies: ``rate`` and ``ratings``."""
 
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ from tyro.conf import Positional, arg
 from kinefilter.characters import InputError
 from kinefilter.pipeline.commands.terminal import (
     check_output,
-    keep,
+    check_outputs,
     out,
     progress_bars,
     write_json,
@@ -57,21 +58,10 @@ class Rate:
                 raise InputError(f"{name} {number}: must be at least 0")
         key = self.out.with_suffix(".key.json")
         check_output(self.out, suffix=".html")
-        check_output(key)
-        systems: dict[str, rating.Motions] = {}
-        for argument in self.systems:
-            name, motions = rating.find_system(argument)
-            if name in systems:
-                raise InputError(
-                    f"{argument}: another system is also called {name!r}; rename it as "
-                    "NAME=PATH"
-                )
-            systems[name] = motions
+        systems = rating.find_systems(self.systems)
         reference = rating.motions_of(self.reference) if self.reference else None
-        for motions in (*systems.values(), reference or {}):
-            for path in motions.values():
-                keep(self.out, path)
-                keep(key, path)
+        read = [own.values() for own in (*systems.values(), reference or {})]
+        check_outputs((self.out, key), *chain.from_iterable(read))
         with progress_bars() as progress:
             page = rating.write_rating_page(
                 systems,

@@ -10,8 +10,8 @@ from tyro.conf import Positional, arg
 from kinefilter.characters import InputError, State
 from kinefilter.pipeline.commands.terminal import Skeletons, check_output, out
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.formats.plain import counted
-from kinefilter.pipeline.formats.recording import numbered
 
 _MOST_SENSORS = 4
 
