@@ -12,7 +12,7 @@ from real_data import DATA, recorded
 from sides_figures import figures_of
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V2, Skeleton
+from kinefilter.characters import KINECT_V2, Skeleton, State
 from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
 from kinefilter.pipeline.lab.view_sessions import find_sessions
@@ -49,6 +49,17 @@ def test_legs_change_sides_before_or_after_the_arms(
     others = np.setdiff1d(np.arange(len(skeleton)), feet)
     mended = swapped_back(seen, swapped).positions
     np.testing.assert_allclose(mended[:, others], take.positions[:, others], atol=1e-9)
+
+
+def test_knees_that_the_sensor_guesses_do_not_tell_the_sides() -> None:
+    take = performed("stand_idle")
+    knees = take.skeleton.sides("Knee")
+    ahead = np.array([np.sin(yaw_of(take)), 0.0 * take.time, np.cos(yaw_of(take))]).T
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[:, knees] -= 0.5 * ahead[:, None]
+    assert swapped_frames(replace(take, positions=positions)).any()
+    state[:, knees] = State.INFERRED
+    assert not swapped_frames(replace(take, positions=positions, state=state)).any()
 
 
 @pytest.mark.parametrize("motion", ["walk", "run"])

@@ -181,7 +181,11 @@ def swapped_frames(take: Take) -> Flags:
     Both face the same way, but may change sides at different times.
     """
     choices = np.array(list(product((False, True), repeat=2)))
-    forward, facing = _facing(take.positions, take.skeleton)
+    # Behind a desk, a sensor guesses knees that bend backward.
+    seen, knees = take.positions.copy(), take.skeleton.sides("Knee")
+    guessed = (take.state[:, knees] != State.TRACKED).all(axis=1)
+    seen[np.ix_(guessed, knees)] = np.nan
+    forward, facing = _facing(seen, take.skeleton)
     root = take.positions[:, take.skeleton.root]
     velocity = root_velocity(take.time, root) / _WALKING
     facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
