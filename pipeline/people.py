@@ -106,6 +106,7 @@ def _motion(time: Array, places: Array, when: float) -> tuple[Array, Array]:
 def _pieces(tracks: Sequence[Track]) -> tuple[list[Piece], bool]:
     """Return tracks cut where the person may change; uncut, and False, if too often."""
     seen, places, cuts = [], [], list[set[int]]()
+    gaps, jumps = [], []
     for track in tracks:
         present = ~np.isnan(track.positions[..., 0])
         rows = np.flatnonzero(present.any(axis=1))
@@ -117,9 +118,14 @@ def _pieces(tracks: Sequence[Track]) -> tuple[list[Piece], bool]:
         usual = float(np.median(step)) if len(step) else 0.0
         broken = (step > max(_LOST, 2.5 * usual)) | (moved > _JUMP + _FAST * step)
         cuts.append(set((np.flatnonzero(broken) + 1).tolist()))
+        gaps.append(np.flatnonzero(step > 1.5 * usual) + 1)
+        jumps.append(track.time[rows][1:][broken])
     for k, m in combinations(range(len(tracks)), 2):
         if tracks[k].sensor == tracks[m].sensor:
             times, others = (tracks[n].time[seen[n]] for n in (k, m))
+            # Files that list bodies without numbers: one may fill the other's gap.
+            cuts[k].update(_filled(times, gaps[k], jumps[m]))
+            cuts[m].update(_filled(others, gaps[m], jumps[k]))
             _, one, other = np.intersect1d(times, others, return_indices=True)
             frames = _crossings(places[k][one], places[m][other])
             cuts[k].update(one[frames].tolist())
@@ -136,6 +142,12 @@ def _pieces(tracks: Sequence[Track]) -> tuple[list[Piece], bool]:
                 ends = (_motion(time, place, when) for when in (time[0], time[-1]))
                 found.append(Piece(k, track.sensor, rows, time, place, lengths, *ends))
     return found, separable
+
+
+def _filled(time: Array, gaps: Indices, jumps: Array) -> list[int]:
+    """Return the frames after gaps during which, or after which, a body jumps [s]."""
+    before = np.searchsorted(jumps, time, "right")
+    return [n for n in gaps.tolist() if before[n] > before[n - 1]]
 
 
 def _crossings(one: Array, other: Array) -> Indices:

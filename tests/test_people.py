@@ -118,6 +118,26 @@ def test_who_is_passed_stays_who_they_are(tmp_path: Path, far: float) -> None:
         np.testing.assert_allclose(take.positions, truth.positions, atol=1e-9)
 
 
+def test_whoever_fills_the_place_of_another_in_a_list_is_not_a_third_person() -> None:
+    """Files without numbers list bodies: if the first is lost, the next moves up."""
+    one, other = moving(90, -1.0, 0.1).positions, moving(90, 1.0, -0.1).positions
+    lost = np.array([20, 40, 41, 60])
+    first, second = one.copy(), other.copy()
+    first[lost], second[lost] = other[lost], np.nan
+    time = np.arange(90) / 30.0
+    tracks = [Track(time, listed, KINECT_V2) for listed in (first, second)]
+    people = people_of(tracks)
+    found = [
+        sorted((int(row), piece.track) for piece in person for row in piece.rows)
+        for person in people
+    ]
+    kept = [k for k in range(90) if k not in lost]
+    assert found == [
+        [(k, 0) for k in kept],
+        [(k, int(k not in lost)) for k in range(90)],
+    ]
+
+
 def test_rows_of_one_time_in_two_places_are_two_people(tmp_path: Path) -> None:
     """As in tables that a tracker of several sensors wrote: a row a body."""
     one, other = moving(60, -1.0, 0.2), moving(60, 1.0, -0.2, 1.1)
