@@ -104,7 +104,7 @@ class Clean:
             paths = part_paths(numbered(self.out, clip), len(parts))
             for path, part in zip(paths, parts, strict=True):
                 check_output(path, *used, *others)
-                time, suffix = take.time[part], self.out.suffix
+                time, suffix = take.time[part], self.out.suffix.lower()
                 with_frame_rate(settings.export, suffix, time, take.source)
             for written in others[1:] if several else ():
                 if written is not None:
