@@ -60,6 +60,29 @@ def test_the_trunk_turns_evenly_where_its_heading_jumps(
         assert np.abs(away[75:] - jump).max() < 1e-9
 
 
+@pytest.mark.parametrize(("seconds", "jumps"), [(0.0, True), (0.2, False)])
+def test_a_trunk_turns_evenly_that_turns_within_a_frame(
+    seconds: float, *, jumps: bool
+) -> None:
+    """Sides do not change; whoever turns by 100 degrees in 0.2 s may do so."""
+    take, jump, change = performed("stand_idle"), np.radians(100.0), 60
+    yaw = np.interp(take.time, take.time[change - 1] + [0.0, seconds + 1e-3], [0, jump])
+    frame = HeadingFrame(take.positions[:, 0], yaw)
+    turned = frame.restore(frame.unturned.remove(take.positions))
+    seen = replace(take, positions=turned)
+    mended = steadied(seen, ())
+    if not jumps:
+        np.testing.assert_array_equal(mended.positions, turned)
+        return
+    away = np.unwrap(yaw_of(mended)) - np.unwrap(yaw_of(take))
+    np.testing.assert_allclose(away[[40, 80]], [0.0, jump], atol=1e-9)
+    assert np.diff(away).max() < 1.2 * jump / 21
+    others = np.setdiff1d(
+        np.arange(len(KINECT_V2)), [*KINECT_V2.hips, *KINECT_V2.sides("Shoulder")]
+    )
+    np.testing.assert_array_equal(mended.positions[:, others], turned[:, others])
+
+
 @every_skeleton
 @pytest.mark.parametrize("part", ["Hip", "Shoulder"])
 @pytest.mark.parametrize("wrong", ["short", "wrung"])
