@@ -14,6 +14,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget.stance import smooth_step
 
+from .foot_turn import hips_yaw, standing_direction, turned_ahead, uprightness
 from .smooth import smooth
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
@@ -300,6 +301,7 @@ def plant_feet(
     are down where ``heels`` says so, and elsewhere as measured.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
+    yaw = hips_yaw(positions, body.skeleton)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
         still = stands[:, foot]
@@ -312,9 +314,12 @@ def plant_feet(
             rise[heels[:, foot]] = 0.0
         down[:, foot] = still & (rise < _HEEL_DOWN)
         weights, joined = confidence[:, ankle], path.copy()
+        upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
         for s in stances:
-            joined[s] = _resting(path[s], weights[s], rise[s], body, toe)
+            hips = yaw[s][upright[s] == 1.0]
+            joined[s] = _resting(path[s], weights[s], rise[s], hips, body, toe)
         path = _joined(time, path, joined, stances)
+        path[~still] = turned_ahead(path, yaw, upright)[~still]
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
         path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
@@ -328,11 +333,18 @@ def flat_height(body: Body, toe: int) -> float:
     return min(ankle, float(body.radii[toe] + body.lengths[toe]))
 
 
-def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> Array:
-    """Return ankle and toe of one stance [m], shape (T, 2, 3)."""
+def _resting(
+    path: Array, weights: Array, rise: Array, yaw: Array, body: Body, toe: int
+) -> Array:
+    """Return ankle and toe of one stance [m], shape (T, 2, 3).
+
+    ``yaw`` is where the hips head [rad] in the frames in which the shank is upright.
+    """
     place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    if len(yaw):
+        ahead = standing_direction(ahead, yaw)
     length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
     reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
     tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
