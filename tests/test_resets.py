@@ -79,16 +79,23 @@ def test_a_hand_that_stays_off_its_target_is_stuck_unless_something_blocks_it(
     assert found == [False, False, False, stuck, stuck]
 
 
-@pytest.mark.parametrize(("twisted", "stuck"), [(1.2, True), (0.9, False)])
-def test_a_foot_that_stays_turned_over_is_stuck(twisted: float, *, stuck: bool) -> None:
+@pytest.mark.parametrize(
+    ("twisted", "wanted", "stuck"),
+    [(1.2, 0.0, True), (0.9, 0.0, False), (0.0, 1.2, True), (0.0, 1.5, False)],
+)
+def test_a_foot_that_stays_off_what_it_can_follow_is_stuck(
+    twisted: float, wanted: float, *, stuck: bool
+) -> None:
     root = standing(1)[:, ROOT]
-    wanted = np.tile(IDENTITY, (1, len(BODY.skeleton), 1))
-    turns = wanted.copy()
-    turns[:, BODY.skeleton.index("FootRight")] = about_x(twisted)
-    pose = positions_from_rotations(turns, root, BODY)[0], turns[0]
-    target = positions_from_rotations(wanted, root, BODY)[0], wanted[0]
+    own, target = np.tile(IDENTITY, (2, 1, len(BODY.skeleton), 1))
+    own[:, BODY.skeleton.index("FootRight")] = about_x(twisted)
+    target[:, BODY.skeleton.index("FootRight")] = about_x(wanted)
+    pose, there = (
+        (positions_from_rotations(turns, root, BODY)[0], turns[0])
+        for turns in (own, target)
+    )
     limbs = StuckLimbs(BODY)
-    found = [limbs.step(pose, target, 0.04) for _ in range(5)]
+    found = [limbs.step(pose, there, 0.04) for _ in range(5)]
     assert found == [False, False, False, stuck, stuck]
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from kinefilter.characters import Body
+from kinefilter.characters.anthropometry import joint_range
 from kinefilter.characters.arrays import Array
 
 _AWAY, _TURNED = np.radians(134.0), np.radians(110.0)
@@ -21,8 +22,8 @@ _OFF = 0.2
 """Distance [m] of a segment's end from its target, in the frame of the root, beyond
 which it is stuck. A hand whose target is inside the body gets nearer than that."""
 _TWISTED = np.radians(60.0)
-"""Angle [rad] between a foot's direction and its target's beyond which it is stuck: the
-other leg has turned it over, and its joint keeps it there."""
+"""Angle [rad] between a foot's direction and its target's beyond which it is stuck, if
+its joint could follow: the other leg has turned it over, and the joint keeps it so."""
 _PATIENCE = np.array([0.1, 0.5, 0.15, 0.15])
 """How long each has to last [s]. The first two are guesses: three of 32 recorded takes
 get there. The distance and its time were chosen on seven walks of p00 to p08 and every
@@ -69,7 +70,9 @@ class StuckLimbs:
         off = off[ends] - off[self._root]
         far = not blocked and bool(np.vecdot(off, off).max() > _OFF**2)
         own, wanted = (p[self._toes] - p[self._ankles] for p in (pose[0], target[0]))
-        twisted = bool((np.vecdot(own, wanted) < self._least).any())
+        twists = np.abs(np.vecdot(target[1][self._toes], target[1][self._ankles]))
+        possible = twists >= np.cos(0.5 * joint_range("Foot"))
+        twisted = bool((possible & (np.vecdot(own, wanted) < self._least)).any())
         if not (turned or far or twisted):  # and so none points away either
             self._lasted[:] = 0.0
             return False
