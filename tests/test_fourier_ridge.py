@@ -342,25 +342,6 @@ def test_trunks_are_turned_away_from_the_sensor_up_to_a_right_angle() -> None:
     np.testing.assert_allclose(mirrored, np.negative(expected), atol=1e-9)
 
 
-@pytest.mark.parametrize(("share", "left"), [(-0.1, 0.9), (-1.0, 0.75), (-3.0, 0.75)])
-def test_hips_and_shoulders_are_not_moved_into_each_other(
-    share: float, left: float
-) -> None:
-    posture = np.tile(standard_body(KINECT_V2).rest_positions, (2, 1, 1))
-    shift, method = np.zeros_like(posture), FourierRidge(KINECT_V2)
-    for a, b in (KINECT_V2.hips, KINECT_V2.sides("Shoulder")):
-        shift[:, a] = share * (posture[:, a] - posture[:, b]) + 0.02
-        shift[:, b] = 0.02
-    middle = shift[:, KINECT_V2.hips].mean(axis=1)
-    method._keep_wide(posture, shift)
-    np.testing.assert_allclose(shift[:, KINECT_V2.hips].mean(axis=1), middle)
-    for a, b in (KINECT_V2.hips, KINECT_V2.sides("Shoulder")):
-        wide = np.linalg.norm((posture + shift)[:, a] - (posture + shift)[:, b], axis=1)
-        usual = np.linalg.norm(posture[:, a] - posture[:, b], axis=1)
-        expected = np.maximum(left, abs(1.0 + share)) * usual
-        np.testing.assert_allclose(wide, expected, rtol=1e-9)
-
-
 def test_a_known_person_is_corrected_as_that_person(tmp_path: Path) -> None:
     lessons = _lessons()
     own = lessons.positions.copy()

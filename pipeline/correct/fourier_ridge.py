@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import KINECT_V2, Skeleton, standard_body
+from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.arrays import Array, Indices, Singles, chunks
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.body_size import chain_matrix
@@ -59,9 +59,6 @@ _FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
-# Share of the width of hips or shoulders that correction leaves. Chosen, from 0.6, 0.75
-# and 0.9, on walks of p00 to p08, where 2.5 % of the shoulders were below 0.6.
-_WIDE = 0.75
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
 _CHUNK = 256  # frames at a time: features of more do not fit into caches. Timed.
@@ -112,10 +109,6 @@ class FourierRidge(LearnedCorrector):
         self._pairs = [skeleton.sides(part) for part in ends]
         sides = [zip(skeleton.sides(part), (1.0, -1.0), strict=True) for part in feet]
         self._feet = [([foot], side) for pair in sides for foot, side in pair]
-        rest = standard_body(skeleton).rest_positions
-        self._widths = [
-            float(np.linalg.norm(rest[a] - rest[b])) for a, b in self._pairs
-        ]
         self._trunk = np.isin(self.joints_, self._pairs)
         self._hidden = self._posture_features.sides != 0.0
         self.start()
@@ -271,7 +264,6 @@ class FourierRidge(LearnedCorrector):
         for j in self.skeleton.order[1:] if missing.any() else ():
             ends = shift[..., self.skeleton.parents[j], :], shift[..., j, :]
             shift[..., j, :] = np.where(missing[..., j, None], *ends)
-        self._keep_wide(posture, shift)
         moved = posture + shift
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
@@ -291,26 +283,6 @@ class FourierRidge(LearnedCorrector):
                 moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
-
-    def _keep_wide(self, posture: Array, shift: Array) -> None:
-        """Reduce (in place) how a shift (..., J, 3) turns hips or shoulders.
-
-        It must not move one into the other: where it makes the line between them
-        shorter than ``_WIDE``, less of it is applied.
-        """
-        for (left, right), width in zip(self._pairs, self._widths, strict=True):
-            line = posture[..., left, :] - posture[..., right, :]
-            change = shift[..., left, :] - shift[..., right, :]
-            least = np.minimum(_WIDE * width, np.linalg.norm(line, axis=-1))
-            # The first share of the change at which the line is that short.
-            a, b = np.vecdot(change, change), np.vecdot(line, change)
-            c = np.vecdot(line, line) - least**2
-            root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
-            share = (-b - root) / np.maximum(a, 1e-12)
-            short = np.linalg.norm(line + change, axis=-1) < least
-            less = np.where(short, 0.5 * (1.0 - share), 0.0)[..., None] * change
-            shift[..., left, :] -= less
-            shift[..., right, :] += less
 
 
 class _Offsets(NamedTuple):
