@@ -156,6 +156,6 @@ def _notes(draft: Draft) -> Iterable[str]:
         starts = [draft.time[k.start] - draft.time[0] for k in runs(draft.trace.reset)]
         yield (
             f"physics: {draft.trace.status}, {times_told([(t, t) for t in starts])}: "
-            "before that the clip shows the target; if a limb is wrong in it, distrust "
+            "about then the clip shows the target; if a limb is wrong in it, distrust "
             "that limb with --edits"
         )

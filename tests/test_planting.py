@@ -17,11 +17,8 @@ from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.target import feet
-from kinefilter.pipeline.target.feet import (
-    ankles_and_toes,
-    find_stance,
-    plant_feet,
-)
+from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, plant_feet
+from kinefilter.pipeline.target.resting_foot import flat_height
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -187,7 +184,7 @@ def test_a_foot_that_was_dragged_is_lifted_on_its_way_and_only_there(
     stands[45:75, 0] = False
     planted, _ = plant_feet(time, path, ones(path), stands, BODY)
     soles = planted[:, TOES, 1] - BODY.radii[TOES]
-    heels = planted[:, ANKLES[0], 1] - feet.flat_height(BODY, TOES[0])
+    heels = planted[:, ANKLES[0], 1] - flat_height(BODY, TOES[0])
     assert min(soles[55:66, 0].min(), heels[55:66].min()) > 0.06
     assert soles.min() > -STILL
     np.testing.assert_allclose(soles[stands], 0.0, atol=STILL)

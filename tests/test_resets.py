@@ -79,6 +79,26 @@ def test_a_hand_that_stays_off_its_target_is_stuck_unless_something_blocks_it(
     assert found == [False, False, False, stuck, stuck]
 
 
+@pytest.mark.parametrize(
+    ("twisted", "wanted", "stuck"),
+    [(1.2, 0.0, True), (0.9, 0.0, False), (0.0, 1.2, True), (0.0, 1.5, False)],
+)
+def test_a_foot_that_stays_off_what_it_can_follow_is_stuck(
+    twisted: float, wanted: float, *, stuck: bool
+) -> None:
+    root = standing(1)[:, ROOT]
+    own, target = np.tile(IDENTITY, (2, 1, len(BODY.skeleton), 1))
+    own[:, BODY.skeleton.index("FootRight")] = about_x(twisted)
+    target[:, BODY.skeleton.index("FootRight")] = about_x(wanted)
+    pose, there = (
+        (positions_from_rotations(turns, root, BODY)[0], turns[0])
+        for turns in (own, target)
+    )
+    limbs = StuckLimbs(BODY)
+    found = [limbs.step(pose, there, 0.04) for _ in range(5)]
+    assert found == [False, False, False, stuck, stuck]
+
+
 def _bridged(resets: list[int], lost: slice | list[int]) -> tuple[Array, Array]:
     """Return distances [m] from a target before and after, (T, J), reset in frames."""
     count, body = 60, BODY
@@ -95,12 +115,17 @@ def _bridged(resets: list[int], lost: slice | list[int]) -> tuple[Array, Array]:
     return np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2)
 
 
-def test_only_what_was_lost_is_replaced_and_nothing_after_the_reset() -> None:
-    before, after = _bridged([40], slice(30, 40))
-    assert before[30:40].max() > 0.3
-    assert after[29:40].max() < 1e-9
+@pytest.mark.parametrize("resets", [[40], [39, 40]])
+@pytest.mark.parametrize("thrashes", [0, 6])
+def test_only_what_was_lost_before_and_after_a_reset_is_replaced(
+    thrashes: int, resets: list[int]
+) -> None:
+    last = 40 + thrashes
+    before, after = _bridged(resets, [*range(30, resets[0]), *range(41, last + 1)])
+    assert before[30:39].max() > 0.3
+    assert after[29 : last + 1].max() < 1e-9
     np.testing.assert_allclose(after[:23], before[:23], atol=1e-12)
-    np.testing.assert_allclose(after[40:], before[40:], atol=1e-12)
+    np.testing.assert_allclose(after[last + 7 :], before[last + 7 :], atol=1e-12)
 
 
 def test_a_limb_that_came_back_for_a_moment_was_lost_all_the_same() -> None:

@@ -17,6 +17,8 @@ from kinefilter.characters.rotations import about_x, rotate, wrapped
 from kinefilter.pipeline.failures import find_failures, repaired
 from kinefilter.pipeline.failures.sides import swapped_back
 from kinefilter.pipeline.failures.trunk import steadied
+from kinefilter.pipeline.merge.alignment import IDENTITY
+from kinefilter.pipeline.merge.session import fuse
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import MOTIONS
 
@@ -60,6 +62,29 @@ def test_the_trunk_turns_evenly_where_its_heading_jumps(
         assert np.abs(away[75:] - jump).max() < 1e-9
 
 
+@pytest.mark.parametrize(("seconds", "jumps"), [(0.0, True), (0.2, False)])
+def test_a_trunk_turns_evenly_that_turns_within_a_frame(
+    seconds: float, *, jumps: bool
+) -> None:
+    """Sides do not change; whoever turns by 100 degrees in 0.2 s may do so."""
+    take, jump, change = performed("stand_idle"), np.radians(100.0), 60
+    yaw = np.interp(take.time, take.time[change - 1] + [0.0, seconds + 1e-3], [0, jump])
+    frame = HeadingFrame(take.positions[:, 0], yaw)
+    turned = frame.restore(frame.unturned.remove(take.positions))
+    seen = replace(take, positions=turned)
+    mended = steadied(seen, ())
+    if not jumps:
+        np.testing.assert_array_equal(mended.positions, turned)
+        return
+    away = np.unwrap(yaw_of(mended)) - np.unwrap(yaw_of(take))
+    np.testing.assert_allclose(away[[40, 80]], [0.0, jump], atol=1e-9)
+    assert np.diff(away).max() < 1.2 * jump / 21
+    others = np.setdiff1d(
+        np.arange(len(KINECT_V2)), [*KINECT_V2.hips, *KINECT_V2.sides("Shoulder")]
+    )
+    np.testing.assert_array_equal(mended.positions[:, others], turned[:, others])
+
+
 @every_skeleton
 @pytest.mark.parametrize("part", ["Hip", "Shoulder"])
 @pytest.mark.parametrize("wrong", ["short", "wrung"])
@@ -79,6 +104,27 @@ def test_a_line_that_shows_nothing_turns_with_the_trunk(
     np.testing.assert_allclose(mended, take.positions, atol=0.03)
     others = np.setdiff1d(np.arange(len(skeleton)), ends)
     np.testing.assert_array_equal(mended[:, others], seen[:, others])
+
+
+def test_a_trunk_stays_wide_where_sensors_disagree_which_way_it_faces() -> None:
+    """For half a second, one of them shows it turned by 150 degrees."""
+    take, ends = performed("stand_idle"), list(KINECT_V2.hips)
+    ends += KINECT_V2.sides("Shoulder")
+    yaw = np.where(np.abs(np.arange(len(take)) - 60) < 8, np.radians(150.0), 0.0)
+    frame = HeadingFrame(take.positions[:, 0], yaw)
+    turned = take.positions.copy()
+    turned[:, ends] = frame.restore(frame.unturned.remove(turned))[:, ends]
+    takes, scores = [take, replace(take, positions=turned)], np.ones(take.state.shape)
+    found = fuse(takes, [scores, scores], [IDENTITY]).take
+    assert found.positions.shape == take.positions.shape
+    off = wrapped(np.diff(np.unwrap(yaw_of(found))))
+    assert np.abs(off).max() < np.radians(15.0)
+    for left, right in (ends[:2], ends[2:]):
+        wide, usual = (
+            np.linalg.norm(x.positions[:, left] - x.positions[:, right], axis=1)
+            for x in (found, take)
+        )
+        assert (wide > 0.6 * usual).all()
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

@@ -242,7 +242,8 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     """Return a take with sides swapped back, as from ``swapped_frames`` (T, 2).
 
     Toes that point at the sensor, as if people faced it, are mirrored in the frontal
-    plane. Hips and shoulders turn evenly where sides change or they show nothing.
+    plane, also while only trunk and arms, or only legs, are swapped. Hips and shoulders
+    turn evenly where sides change or they show nothing.
     """
     skeleton, (frames, legs) = take.skeleton, swapped.T
     behind = np.repeat(frames[:, None], len(skeleton), axis=1)
@@ -253,11 +254,12 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
         mended = replace(mended, face=face)
     changes = np.flatnonzero(np.diff(frames)) + 1
     positions = steadied(mended, changes.tolist()).positions.copy()
-    forward = _direction(_yaw(positions, skeleton)[legs])
+    some = frames | legs
+    forward = _direction(_yaw(positions, skeleton)[some])
     for foot in skeleton.sides("Foot"):
-        toes, ankle = positions[legs, foot], positions[legs, skeleton.parents[foot]]
+        toes, ankle = positions[some, foot], positions[some, skeleton.parents[foot]]
         back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
-        positions[legs, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
+        positions[some, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
     return replace(mended, positions=positions)
 
 

@@ -16,7 +16,8 @@ from kinefilter.characters.rotations import wrapped
 
 # Chosen on walks of p00 to p08 of two-kinects.
 _JUMP = np.radians(20.0)  # rad from a frame to the next: no turn, the heading jumps
-_EVENLY = 0.35  # s before and after such a jump in which the trunk turns instead
+_FASTEST = np.radians(900.0)  # rad/s: where sides do not change, turns are slower
+_EVENLY = 0.35  # s before and after a jump in which the trunk turns instead
 _SHORT = 0.65  # of its median length: a shorter line points anywhere
 _WRUNG = np.radians(90.0)  # rad between hips and shoulders: more than any trunk twists
 _UPRIGHT = 0.7  # cosine of the angle to straight up within which lines are judged
@@ -41,12 +42,15 @@ def steadied(take: Take, changes: Sequence[int]) -> Take:
     upright = trunk[:, 1] > _UPRIGHT * np.linalg.norm(trunk, axis=1)
     level = lines[..., 0] - 1j * lines[..., 2]  # its angle is the yaw
     good = known & ((lengths >= _SHORT * usual) | ~upright[:, None])
-    yaw, heading = np.angle(level), _heading(level / usual, good)
-    for change in changes:
-        if abs(wrapped(heading[change] - heading[change - 1])) > _JUMP:
-            middle = time[change - 1 : change + 1].mean()
-            good &= (np.abs(time - middle) > _EVENLY)[:, None]
+    yaw = np.angle(level)
     wrung = upright & (np.abs(wrapped(yaw[:, 0] - yaw[:, 1])) > _WRUNG)
+    shown = _moved(_heading(level / usual, good))
+    likely = _moved(_heading(level / usual, good & ~wrung[:, None]))
+    fast = np.maximum(_FASTEST * np.diff(time, prepend=-np.inf), _JUMP)
+    jumps = [k for k in changes if shown[k] > _JUMP]
+    for k in [*jumps, *np.flatnonzero(likely > fast).tolist()]:
+        if good[k - 1 : k + 1].any():
+            good &= (np.abs(time - time[k - 1 : k + 1].mean()) > _EVENLY)[:, None]
     heading = _heading(level / usual, good & ~wrung[:, None])
     away = wrapped(yaw - heading[:, None])
     good &= ~wrung[:, None] | (np.abs(away) < 0.5 * _WRUNG)
@@ -72,3 +76,8 @@ def _heading(lines: Array, good: Flags) -> Array:
         return np.zeros(len(lines))
     yaw = np.unwrap(np.angle(total[seen]))
     return np.asarray(np.interp(np.arange(len(lines)), seen, yaw))
+
+
+def _moved(yaw: Array) -> Array:
+    """Return how far headings are from those of the frame before [rad], (T,)."""
+    return np.abs(wrapped(np.diff(yaw, prepend=yaw[0])))

@@ -14,6 +14,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.edits import Edit, check_edits, edited, read_edits
+from kinefilter.pipeline.failures.sides import swapped_back
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.stages import Correct
@@ -73,7 +74,8 @@ def _cleaner(
     for k, (take, found) in enumerate(pairs):
         time = found.clock.inverse(take.time)
         frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
-        take = take.swapped(merged.swapped[frames, k])  # as the sensors agree
+        swapped = merged.swapped[frames, k]  # as the sensors agree
+        take = swapped_back(take, np.stack([swapped, swapped], axis=1))
         take = edited(take, edits, time - stamps[0])
         draft = corrector.whole(take, progress)
         positions = np.where(draft.missing[..., None], np.nan, draft.positions)

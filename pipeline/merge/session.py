@@ -9,6 +9,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.motion import nearest_frames
+from kinefilter.pipeline.failures.trunk import steadied
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
@@ -135,7 +136,8 @@ def fuse(
     positions, state, reliability, shares, swapped = arrays
     source = " + ".join(take.source for take in takes)
     by_kinect = any(take.by_kinect for take in takes)
-    take = Take(time, positions, state, skeleton, source, by_kinect)
+    # Where sensors disagree which way the trunk faces, its lines get short.
+    take = steadied(Take(time, positions, state, skeleton, source, by_kinect), ())
     seen = (np.array([sight.positions for sight in column]) for column in columns)
     known = (tuple(alignments), tuple(takes))
     return Merged(take, reliability, shares, swapped, tuple(seen), *known)

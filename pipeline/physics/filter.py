@@ -26,7 +26,7 @@ _CHUNK = 4096  # frames at a time, to bound the memory
 # Of resets. Guesses.
 _FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
 _LONGEST_LOST = 1.0  # s
-_BLENDING_TIME = 0.2  # s before, in which the pose goes to its target
+_BLENDING_TIME = 0.2  # s in which the pose goes to its target, and leaves it
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class PhysicsTrace:
     reset: Flags
     """True where the character was reset onto its target: the simulation had diverged,
     or a limb was stuck at the end of its joint's range (``stuck_limbs``). Before
-    that, ``bridge_resets`` changes the motion; forces are those of the simulation."""
+    and after, ``bridge_resets`` changes the motion; forces are the simulation's."""
 
     @property
     def status(self) -> str:
@@ -220,29 +220,32 @@ def bridge_resets(
     resets: Indices,
     body: Body,
 ) -> None:
-    """Blend the pose into the target before each reset, so that nothing jumps.
+    """Blend the pose into the target about each reset, so that nothing jumps.
 
-    Lost limbs thrash; the target may be a posture that no body can take, but it moves
-    as the sensor saw it.
+    Lost limbs thrash before it, and after it those whose target is inside another part
+    of the body; the target may be a posture that no body can take, but it moves as the
+    sensor saw it.
 
     Pose, which is changed, and target are rotations, wxyz, (T, J, 4), and positions of
     the root [m], (T, 3), at each time stamp [s]. ``resets`` are frames of resets.
     """
     # Between resets in a row there is nothing to blend.
-    for stop in resets[np.diff(resets, prepend=-2) > 1]:
-        earliest = time[stop] - _LONGEST_LOST
-        start = int(np.searchsorted(time, earliest - _BLENDING_TIME))
-        before = slice(start, int(stop))
-        (turns, roots), (wanted, there) = (
-            (rotations[before], root[before]) for rotations, root in (pose, target)
-        )
+    first = resets[np.diff(resets, prepend=-2) > 1].tolist()
+    last = resets[np.diff(resets, append=len(time) + 1) > 1].tolist()
+    reach = _LONGEST_LOST + _BLENDING_TIME
+    for reset, after in [(k, False) for k in first] + [(k, True) for k in last]:
+        edge = time[reset] + (reach if after else -reach)
+        near = slice(*sorted([reset, int(np.searchsorted(time, edge))]))
+        # Toward the reset.
+        way = slice(None, None, -1 if after else 1)
+        now = -np.abs(time[near] - time[reset])[way]
+        turns, roots, wanted, there = (x[near][way] for x in (*pose, *target))
         away = positions_from_rotations(turns, roots, body)
         away -= positions_from_rotations(wanted, there, body)
         follows = (np.linalg.norm(away, axis=-1) < _FOLLOWED).all(axis=-1)
         # A limb that comes back only for a moment does not follow.
-        now = time[before]
         left = np.maximum.accumulate(np.where(follows, -np.inf, now))
-        lost = max([earliest, *now[now - left > _BLENDING_TIME][-1:]])
+        lost = max([-_LONGEST_LOST, *now[now - left > _BLENDING_TIME][-1:]])
         share = np.clip(1.0 + (now - lost) / _BLENDING_TIME, 0.0, 1.0)
         turns[:] = slerp(turns, wanted, share[:, None])
         roots += share[:, None] * (there - roots)

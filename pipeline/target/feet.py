@@ -14,6 +14,8 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget.stance import smooth_step
 
+from .foot_turn import hips_yaw, turned_ahead, uprightness
+from .resting_foot import flat_height, resting
 from .smooth import smooth
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
@@ -314,6 +316,7 @@ def plant_feet(
     are down where ``heels`` says so, and elsewhere as measured.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
+    yaw = hips_yaw(positions, body.skeleton)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
         still = stands[:, foot]
@@ -326,36 +329,17 @@ def plant_feet(
             rise[heels[:, foot]] = 0.0
         down[:, foot] = still & (rise < _HEEL_DOWN)
         weights, joined = confidence[:, ankle], path.copy()
+        upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
         for s in stances:
-            joined[s] = _resting(path[s], weights[s], rise[s], body, toe)
+            hips = yaw[s][upright[s] == 1.0]
+            joined[s] = resting(path[s], weights[s], rise[s], hips, body, toe)
         path = _joined(time, path, joined, stances)
+        path[~still] = turned_ahead(path, yaw, upright)[~still]
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
         path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
         planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_STEP_CUTOFF)
     return planted, down
-
-
-def flat_height(body: Body, toe: int) -> float:
-    """Return the height [m] of the ankle of a foot that is flat on the floor."""
-    ankle = float(body.rest_positions[body.skeleton.parents[toe], 1])
-    return min(ankle, float(body.radii[toe] + body.lengths[toe]))
-
-
-def _resting(path: Array, weights: Array, rise: Array, body: Body, toe: int) -> Array:
-    """Return ankle and toe of one stance [m], shape (T, 2, 3)."""
-    place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
-    ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
-    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-    length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
-    reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
-    tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
-    rest[:, 1, [0, 2]], rest[:, 1, 1] = tip, sole
-    # The ankle turns about the toes.
-    height = np.minimum(flat + rise, sole + length)
-    back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
-    rest[:, 0, [0, 2]], rest[:, 0, 1] = tip - back[:, None] * ahead, height
-    return rest
 
 
 def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
@@ -400,12 +384,3 @@ def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
             high[k] = max(high[k], high[k - 1] - slope[k - 1])
     lift = np.maximum(np.minimum(needed, edge) - (part[:, 1] - sole), 0.0)
     return np.where(stands, 0.0, lift)
-
-
-def _median(values: Array, weights: Array) -> float:
-    """Return the weighted median, the mean of two values if both are in the middle."""
-    order = np.argsort(values, kind="stable")
-    sums = np.cumsum(weights[order] + 1e-3)
-    half, rounding = 0.5 * sums[-1], 1e-9 * sums[-1]
-    middle = np.searchsorted(sums, [half - rounding, half + rounding])
-    return float(values[order][middle].mean())

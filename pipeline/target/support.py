@@ -16,8 +16,9 @@ from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import cross
 
-from .feet import ankles_and_toes, flat_height
+from .feet import ankles_and_toes
 from .floor import clearances
+from .resting_foot import flat_height
 from .smooth import smooth
 
 _MU = 1.0  # of friction: tangential over normal force at most, as in the simulation

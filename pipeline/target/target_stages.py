@@ -22,6 +22,7 @@ from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
+from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn, given_turn
 
@@ -163,7 +164,7 @@ class Floor(SharedStage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._ankles, toes = feet.ankles_and_toes(body.skeleton)
-        self._flat = feet.flat_height(body, toes[0])
+        self._flat = flat_height(body, toes[0])
         self._height = self._given
         self._soles: deque[tuple[float, float]] = deque()
         self._turn = Turn()
@@ -231,7 +232,7 @@ class Feet(Stage):
         """Reset the state for a new motion."""
         ankles, toes = feet.ankles_and_toes(body.skeleton)
         self._parts, self._stance = np.transpose([ankles, toes]), feet.StanceTracker()
-        self._flat = feet.flat_height(body, toes[0])
+        self._flat = flat_height(body, toes[0])
         self._heights = np.stack([np.full(2, self._flat), body.radii[toes]], axis=1)
         self._moved, self._anchors = np.zeros((2, 2, 2, 3))  # by foot, ankle and toes
         self._planted = np.zeros(2, dtype=np.bool_)
