@@ -312,3 +312,22 @@ def test_no_persons_file_overwrites_the_take(
     assert main(["clean", path.name, "--body=all", *files]) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["mine.2.csv"]
     assert path.read_text(encoding="utf-8") == text
+
+
+def test_who_is_cut_off_by_the_edge_of_the_view_stays_who_they_are() -> None:
+    """A tracker that loses the legs puts them near the trunk, and then starts anew."""
+    take, skeleton = moving(180, 0.0, 0.3), KINECT_V2
+    positions = take.positions.copy()
+    legs = [j for hip in skeleton.hips for j in skeleton.descendants(hip)]
+    positions[150:, legs, 1] = 0.5 * positions[150:, legs, 1]
+    numbers = np.zeros(180, dtype=int)
+    numbers[150:] = 1
+    tracks = [
+        Track(
+            take.time,
+            np.where((numbers == k)[:, None, None], positions, np.nan),
+            skeleton,
+        )
+        for k in range(2)
+    ]
+    assert len(people_of(tracks)) == 1
