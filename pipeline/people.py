@@ -35,7 +35,7 @@ _DEVIATIONS = np.array([0.024, 0.014, 0.02, 0.017, 0.02, 0.013, 0.03])
 neck, and of the height of the head above the feet [m]."""
 _CUT_OFF = 9.0
 """Greatest square of that height's deviation: at the edge of the view legs are cut off.
-Chosen on a take of p22; simulated people of seeds 200 to 239 are told apart as before."""
+Chosen on a take of p22; simulated people (200 to 239) are told apart as before."""
 _BRIEF = 1.0  # s of a piece whose lengths have twice that variance
 _TOGETHER = 2.0  # divides the cost of lengths, as their errors are correlated
 _STRANGER = 9.0  # cost above which a piece belongs to a new person
