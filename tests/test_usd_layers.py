@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from mutations import mutated
 from pxr import Usd, UsdGeom
 from usd_positions import read_usd_positions
 
-from kinefilter.characters import KINECT_V2, Clip, InputError
+from kinefilter.characters import KINECT_V2, Clip, InputError, standard_body
 from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.formats import Export, write_clip
 
@@ -51,6 +52,11 @@ def test_many_clips_refer_to_one_character(make_clip: MakeClip, tmp_path: Path) 
     np.testing.assert_array_equal(again, positions)
 
 
+def grown(clip: Clip) -> Clip:
+    body = standard_body(clip.skeleton, height=2.1)
+    return replace(clip, body=body)
+
+
 def test_a_character_that_does_not_fit_is_refused_and_left(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
@@ -61,6 +67,7 @@ def test_a_character_that_does_not_fit_is_refused_and_left(
         (make_clip(2, KINECT_V2), Export(character=sam), "joints"),
         (make_clip(2), Export(character=sam, up="z"), "y up"),
         (make_clip(2), Export(character=sam, units="cm"), "--units"),
+        (grown(make_clip(2)), Export(character=sam), "another size"),
     ):
         with pytest.raises(InputError, match=rf"sam\.usda: .*{words}"):
             write_clip(clip, tmp_path / "b.usda", export)

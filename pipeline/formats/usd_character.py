@@ -19,6 +19,10 @@ from .export import GAMMA, SKIN_COLOR, Export
 from .guarded import read_usd
 from .rig import Rig, rig_of
 
+# m between joints at rest of two people. Those of takes of one person (p00, p04, p08,
+# p10, p14, sensors at 0 to 90 degrees) differ by up to 0.176.
+_ANOTHER = 0.2
+
 CHARACTER = "/Character"
 SKELETON = f"{CHARACTER}/Skeleton"
 SKIN = f"{CHARACTER}/Skin"
@@ -63,6 +67,14 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
         raise InputError(
             f"{path}: the character has {up} up and units of {unit:g} m, the clip "
             f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
+        )
+    places, wanted = layer["places"], export.points(rig.positions)
+    away = np.linalg.norm(places - wanted, axis=1).max() * unit
+    if not away <= _ANOTHER:
+        raise InputError(
+            f"{path}: the character is of somebody of another size: its joints are up "
+            f"to {100.0 * away:.0f} cm from where this person's are at rest; give each "
+            "person a --character of their own"
         )
 
 

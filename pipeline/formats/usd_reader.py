@@ -97,14 +97,19 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 
 def character_arrays(path: str) -> dict[str, NDArray[Any]]:
-    """Return joints, up axis and unit of a character layer, or raise InputError."""
+    """Return a character layer's joints and their places in its axes and unit.
+
+    Also its up axis and unit [m]. Raises an InputError if it cannot be read.
+    """
     expected = "a layer from 'kinefilter clean --character', or an unused name"
     with refused(path, f"cannot be read as USD; give --character {expected}"):
         stage = Usd.Stage.Open(path)
         skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(SKELETON))
         joints = skeleton.GetJointsAttr().Get() if skeleton else None
+        bind = skeleton.GetBindTransformsAttr().Get() if skeleton else None
         return {
             "joints": np.array([str(joint) for joint in joints or ()]),
+            "places": np.reshape([np.array(m)[3, :3] for m in bind or ()], (-1, 3)),
             "up": np.array(UsdGeom.GetStageUpAxis(stage).lower()),
             "unit": np.array(UsdGeom.GetStageMetersPerUnit(stage)),
         }
