@@ -148,11 +148,32 @@ def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> Non
             _chest(ground, 0.2)
             player._record(None)
             assert (tmp_path / name).exists()
-        player._change(scene="basketball")
+        player._record(None)
+        _chest(ground, 0.2)
+        with pytest.raises(InputError, match="recorded"):
+            ground.change(scene="box")
+        player._change(scene="basketball")  # ends the recording
+        assert read_clip(tmp_path / "play.3.npz").props == ()
         player._show()
         assert "ball" in {prop.name for prop in ground.props}
         player.stop()
         player.run()
+
+
+def test_a_recording_is_saved_when_play_is_ended(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def recorded(player: Player) -> None:
+        player._record(None)
+        _chest(player._playground, 0.2)
+        raise KeyboardInterrupt  # as SIGTERM does
+
+    monkeypatch.setattr(Player, "run", recorded)
+    save = tmp_path / "play.npz"
+    address = ["--port", "0"]
+    assert main(["play", "basic", "--save", str(save), *address]) == 0
+    assert "wrote" in capsys.readouterr().out
+    assert len(read_clip(save)) == 6
 
 
 def test_two_begin_beside_each_other_share_the_scene_and_are_recorded(

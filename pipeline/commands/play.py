@@ -81,7 +81,11 @@ class Play:
                 out.print(f"{player.address} plays {shown}; press Ctrl-C to quit")
                 if self.open:
                     webbrowser.open(player.address)
-                player.run()
+                try:
+                    player.run()
+                finally:
+                    if (ground.recording or 0) > 1:
+                        out.print(player.save_recording())
         return 0
 
     def _motions(self, path: Path) -> list[Clip]:

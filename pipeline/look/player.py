@@ -206,6 +206,8 @@ class Player(ServedPage):
         self._speed = float(speed)
 
     def _change(self, **what: Any) -> None:
+        if "scene" in what:  # the props are others
+            self._report(self.save_recording())
         self._playground.change(**what)
         self._draw_scene()
 
@@ -213,7 +215,13 @@ class Player(ServedPage):
         if self._playground.recording is None:
             self._playground.record()
             self._report("")
-            return
+        else:
+            self._report(self.save_recording())
+
+    def save_recording(self) -> str:
+        """End a recording, if there is one; return what was written, in words."""
+        if self._playground.recording is None:
+            return ""
         clips = self._playground.recorded()
         bodies = range(1, len(clips) + 1) if len(clips) > 1 else (None,)
         names = (numbered(self._save, k if k > 1 else None) for k in count(1))
@@ -221,7 +229,7 @@ class Player(ServedPage):
         paths = next(r for r in recordings if not any(path.exists() for path in r))
         for clip, to in zip(clips, paths, strict=True):
             write_clip(clip, to)
-        self._report(f"wrote {', '.join(map(str, paths))}, {clips[0].time[-1]:.1f} s")
+        return f"wrote {', '.join(map(str, paths))}, {clips[0].time[-1]:.1f} s"
 
 
 def _add_grips(

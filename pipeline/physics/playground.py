@@ -99,7 +99,14 @@ class Playground:
     def change(
         self, *, scene: str | Path | None = None, tracking: TrackingName | None = None
     ) -> None:
-        """Restart in another scene or with another tracking; raises as the class."""
+        """Restart in another scene or with another tracking; raises as the class.
+
+        A recording has to end before the scene changes, or an InputError is raised.
+        """
+        if scene is not None and self._frames is not None:
+            raise InputError(
+                "a clip is being recorded; end that before changing the scene"
+            )
         before = self.scene, self.tracking
         self.scene = self.scene if scene is None else scene
         self.tracking = self.tracking if tracking is None else tracking
