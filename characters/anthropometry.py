@@ -27,7 +27,7 @@ STANDARD_HEIGHT = 1.75
 STATURES = (0.3, 3.0)
 """Smallest and largest stature of a body [m]; anything else is in a wrong unit."""
 
-_LIMITS = {"height": (*STATURES, "m", "meters"), "mass": (2, 500, "kg", "kilograms")}
+_LIMITS = {"height": (*STATURES, "m", "meters"), "mass": (1, 500, "kg", "kilograms")}
 _LONGEST = 100.0  # m: a longer segment comes from a damaged file
 _UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 39.37, "feet": 3.281}
 _PEOPLE = (1.2, 2.3)  # m: statures and arm spans; only one of the units fits a number
@@ -99,7 +99,7 @@ def _checked_size(name: str, value: object) -> float:
     """Return the height or mass of a body, or raise an InputError."""
     least, most, unit, words = _LIMITS[name]
     number = as_number(value, f"body {name}")
-    if not least < number < most:
+    if not least <= number <= most:
         raise InputError(
             f"body {name} {number:g} {unit} is outside {least:g} to {most:g} {unit}; "
             f"give the {name} in {words}"

@@ -174,7 +174,7 @@ class CleanConfig:
                 raise InputError(f"--{name} needs physics; omit --no-physics")
         if self.contacts is not None and self.feet != "auto":
             raise InputError("--contacts and --feet exclude each other; give one")
-        if self.tilt is not None and not abs(self.tilt) < 90.0:
+        if self.tilt is not None and not abs(self.tilt) <= 90.0:
             raise InputError(f"--tilt {self.tilt:g}: expected -90 to 90 degrees")
         if not isinstance(self.floor, str) and not abs(self.floor) < _FARTHEST:
             expected = "auto, none or a height in meters"

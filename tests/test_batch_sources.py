@@ -10,6 +10,7 @@ from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch.plan import clip_names, find_sources
+from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.formats.takes import claims_take
 
@@ -34,6 +35,15 @@ def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) ->
     found = {s.take for s in find_sources(inputs, str(tmp_path / "out"))}
     assert {"takes/a.csv", "takes-2/a.csv"} <= found
     assert len(found) == 7  # once each, and what is no take by its name not at all
+
+
+def test_a_url_of_a_local_folder_is_its_path(takes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "my clips"
+    quick = ["--no-physics", "--method", "none", "--jobs", "1"]
+    for place in (out.as_uri(), str(out)):  # the second finds nothing to do
+        assert main(["batch", takes.as_uri(), "-o", place, *quick]) == 0
+        assert (out / "manifest.jsonl").exists()
+    assert len((out / "manifest.jsonl").read_text(encoding="utf-8").splitlines()) == 6
 
 
 def test_an_empty_name_is_not_the_current_folder(

@@ -128,6 +128,14 @@ def test_what_cannot_be_done_is_told_in_one_line_with_code_2(
     assert said.count("\n") == 1
 
 
+def test_a_replay_that_nobody_takes_is_not_done(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    nobody = ["--out", "ws://127.0.0.1:1", "--speed", "99"]
+    assert main(["replay", str(scenes.SAMPLE), *nobody]) == 2
+    assert "start the receiver" in capsys.readouterr().err
+
+
 def test_the_commands_of_the_readme_are_possible() -> None:
     readme = Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8")
     (live,) = map(shlex.split, re.findall(r"`(kinefilter live .*?)`", readme))

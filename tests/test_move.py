@@ -95,8 +95,8 @@ def test_a_part_is_cut_of_the_whole_cleaned_take(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--begin", "30"], "no frames from 30 s on"),
-        (["--end", "12.5"], "no frames from 0 to 12.5 s, it has 298"),
+        (["--begin", "30"], "--begin 30 is after that"),
+        (["--end", "12.5"], "298 frames end at 10 s; --end 12.5 is after"),
         (["--begin", "3", "--end", "2"], "--begin 3 --end 2: expected seconds"),
         (["--begin", "-1"], "--begin -1: expected seconds"),
         (["--end", "0"], "--end 0: expected seconds"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from kinefilter.characters import InputError
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.plain import counted
@@ -196,4 +197,8 @@ class Replay:
                 certificate=self.certificate,
                 say=err.print,
             ) as send:
-                return await replay(takes, send, stop, speed=self.speed, loop=self.loop)
+                sent = await replay(takes, send, stop, speed=self.speed, loop=self.loop)
+                if not (sent or stop.is_set()):
+                    nobody = "nobody took a frame; start the receiver first"
+                    raise InputError(f"{self.out}: {nobody}")
+                return sent

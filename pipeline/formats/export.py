@@ -213,10 +213,10 @@ def span_of(export: Export, time: Array, source: str) -> slice:
             "choose --begin and --end outside of this gap"
         )
     if first >= stop or end > duration + slack:
-        span = f"{begin:g} s on" if export.end is None else f"{begin:g} to {end:g} s"
+        option = "--begin" if first >= stop else "--end"
         raise InputError(
-            f"{source}: no frames from {span}, it has {len(time)} in "
-            f"{duration:.4g} s; choose --begin and --end within these"
+            f"{source}: its {len(time)} frames end at {duration:.4g} s; {option} "
+            f"{begin if first >= stop else end:g} is after that"
         )
     return slice(int(first), int(stop))
 

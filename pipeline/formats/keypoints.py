@@ -25,6 +25,7 @@ from .files import array_of, list_in, number_in, read_bytes, read_json, refused
 from .markers import mocap_of_points
 from .mocap import kinect_joints, plain_name, recording_of
 from .npz import read_array
+from .plain import counted
 from .recording import ASSUMED_FPS, Recording, Sighting, not_by_kinect, takes_of_people
 from .rows import MOST_FRAMES, RowReader, open_rows
 
@@ -178,8 +179,10 @@ def frame_files(source: str) -> list[tuple[int, Path]]:
 
 
 def _openpose_body(person: Any, where: str) -> _Body | None:
-    values = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
-    if values == []:
+    person = person if isinstance(person, dict) else {}
+    values = person.get("pose_keypoints_3d")
+    # Without --3d, the list is empty of people who are seen in the image, too.
+    if values == [] and not person.get("pose_keypoints_2d"):
         return None
     numbers = array_of(values)
     if numbers.ndim != 1 or len(numbers) != 4 * len(BODY_25):
@@ -245,7 +248,7 @@ def _recording(
         if body is not None
     ]
     if not found:
-        raise InputError(f"{source}: no one is in any of {len(frames)} frames")
+        raise InputError(f"{source}: no one in {counted(len(frames), 'frame')}")
     frame_of, number_of, names, points, scores = zip(*found, strict=True)
     if len(set(names)) > 1:
         raise InputError(f"{source}: bodies have different landmarks; split it")
