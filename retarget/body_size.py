@@ -56,7 +56,7 @@ def measured_body(
     upright = [j for j in stack if np.isfinite(known[j])]
     share = known[upright].sum() / average[upright].sum() if upright else 1.0
     stature = STANDARD_HEIGHT * float(share)
-    if not STATURES[0] < stature < STATURES[1]:
+    if not STATURES[0] <= stature <= STATURES[1]:
         raise InputError(
             f"{source}: the segments suggest a stature of {stature:.3g} m, expected "
             f"{STATURES[0]:g} to {STATURES[1]:g} m; {unit_hint(stature)}"

@@ -133,7 +133,7 @@ def test_limbs_are_cylinders_of_their_mass_at_the_density_of_tissue(
         assert density == pytest.approx(1050.0)
 
 
-@pytest.mark.parametrize("height", [0.3, 0.0, -1.7, 3.0, 175.0, np.nan])
+@pytest.mark.parametrize("height", [0.29, 0.0, -1.7, 3.01, 175.0, np.nan])
 def test_absurd_heights_are_refused_asking_for_meters(height: float) -> None:
     with pytest.raises(InputError, match=f"height {height:g} m.*meters"):
         standard_body(KINECT_V1, height=height, mass=70.0)
@@ -185,7 +185,7 @@ def test_a_body_that_many_share_cannot_be_overwritten(skeleton: Skeleton) -> Non
             getattr(body, name)[0] = 9.0
 
 
-@pytest.mark.parametrize("mass", [2.0, 0.0, -70.0, 500.0, 70000.0, np.inf, np.nan])
+@pytest.mark.parametrize("mass", [0.9, 0.0, -70.0, 501.0, 70000.0, np.inf, np.nan])
 def test_absurd_masses_are_refused_asking_for_kilograms(mass: float) -> None:
     with pytest.raises(InputError, match=r"mass.*kilograms"):
         standard_body(KINECT_V1, mass=mass)
@@ -206,3 +206,8 @@ def test_people_at_random_are_built_like_the_average_on_the_whole(
     mirrored = skeleton.mirror[ends]
     body = random_body(skeleton, rng)
     np.testing.assert_array_equal(body.lengths[ends], body.lengths[mirrored])
+
+
+@pytest.mark.parametrize("height", [0.3, 3.0])
+def test_the_bounds_of_a_height_are_heights(height: float) -> None:
+    assert standard_body(KINECT_V1, height=height).height == height
