@@ -89,7 +89,7 @@ def test_readmes_prose_has_no_figure_that_nobody_measures() -> None:
 
 def test_every_claim_has_a_study_a_side_and_a_reason() -> None:
     found = claims.read_claims()
-    assert len({claim.name for claim in found}) == len(found)
+    assert len({(claim.name, claim.where) for claim in found}) == len(found)
     for claim in found:
         assert claim.study in STUDIES, claim.name
         assert claim.direction in ("is", "at most", "at least"), claim.name

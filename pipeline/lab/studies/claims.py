@@ -1,7 +1,8 @@
 """The figures that README and the lab's texts state, and whether they still hold.
 
 ``claims.toml`` lists them: ``says`` is how the row of the text's table begins, then
-come the study, the row of its CSV and, by column, the figure exactly as printed;
+come the study, the row of its CSV and, by column, the figure exactly as printed (or
+several rows, and as many figures in that order, separated by commas);
 ``where`` names the text unless it is README. A claim holds if the measured value ``is``
 the figure, or is ``at most`` or ``at least`` that, up to a tolerance, ``within``, whose
 reason is given as ``why``.
@@ -58,15 +59,18 @@ def read_claims() -> list[Claim]:
     text = resources.files(__package__).joinpath("claims.toml").read_text("utf-8")
     claims = []
     for entry in tomllib.loads(text)["claim"]:
-        for column, figure in entry.pop("cells").items():
-            settings = {
-                "direction": "is",
-                "within": _LAST_DIGITS * last_digit(figure),
-                "why": _WHY,
-                "recordings": column.startswith("recorded"),
-                **entry,
-            }
-            claims.append(Claim(figure=figure, column=column, **settings))
+        rows = entry.pop("row")
+        rows = [rows] if isinstance(rows, str) else rows
+        for column, listed in entry.pop("cells").items():
+            for row, figure in zip(rows, listed.split(", "), strict=True):
+                settings = {
+                    "direction": "is",
+                    "within": _LAST_DIGITS * last_digit(figure),
+                    "why": _WHY,
+                    "recordings": column.startswith("recorded"),
+                    **entry,
+                }
+                claims.append(Claim(figure=figure, row=row, column=column, **settings))
     return claims
 
 
