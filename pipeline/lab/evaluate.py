@@ -16,6 +16,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.failures import FailureKind
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.live.crowd import MEASURED_FOR
 from kinefilter.pipeline.methods import SCORERS, load
 from kinefilter.pipeline.pairs import PairedTake
@@ -259,8 +260,8 @@ def as_table(figures: dict[str, Any]) -> Table:
     physics = ", with physics" if figures["physics"] else ""
     physics += ", live" if figures["live"] else ""
     title = (
-        f"{count} clips, protocol {figures['protocol']}{physics}; errors in cm, and "
-        "their change from raw"
+        f"{counted(count, 'clip')}, protocol {figures['protocol']}{physics}; errors in "
+        "cm, and their change from raw"
     )
     headings = ("E", "E_std", "E_var", "p95", "jitter", "ms", "within", "found")
     table = Table(Column("method", no_wrap=True), *headings, title=title)

@@ -332,8 +332,9 @@ def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
         )
     table.caption = (
         "cm: error of the hidden joints relative to the hips, against the clip with "
-        "nothing hidden; worse: clips over 1 cm worse than the better of hold and "
-        "slerp; within: % of coordinates with errors to mocap below their uncertainty, "
-        "and below 1.96 times it"
+        "nothing hidden; % of hold: of the error of hold, cleaned by the same method; "
+        "worse: clips over 1 cm worse than the better of hold and slerp; within: % of "
+        "coordinates with errors to mocap below their uncertainty, and below 1.96 "
+        "times it"
     )
     return table
