@@ -73,7 +73,8 @@ def test_errors_joint_by_joint_are_those_of_the_arms() -> None:
     counts = {}
     for name, frames, raw, _, chiangs, *by_joint in study.rows:
         exercise, people, samples = name.split(", ")
-        assert chiangs < raw
+        if people != "new":  # one person teaches too little about another
+            assert chiangs < raw
         counts[people, samples] = frames
         if people != "paper":
             assert np.mean(by_joint) == pytest.approx(chiangs, rel=0.05)
