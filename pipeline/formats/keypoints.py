@@ -150,7 +150,7 @@ _Body = tuple[tuple[str, ...], Array, Array]  # names, positions and confidence
 
 def read_openpose(source: str) -> Recording:
     """Read OpenPose's files of frames; raises InputError if one is malformed."""
-    frames, numbers = [], []
+    frames, numbers, flat = list[list[_Body | None]](), [], False
     for number, path in frame_files(source):
         root = read_json(path, _LARGEST)
         listed = root if isinstance(root, list) else [root]
@@ -159,6 +159,10 @@ def read_openpose(source: str) -> Recording:
             people = list_in(frame, "people", where, "OpenPose")
             frames.append([_openpose_body(person, where) for person in people])
             numbers.append(float(number + k))
+            flat = flat or any(person.get("pose_keypoints_2d") for person in people)
+    if flat and not any(body for bodies in frames for body in bodies):
+        wrong = "'pose_keypoints_3d' is empty in all frames"
+        raise InputError(f"{source}: {wrong}; run OpenPose with --3d")
     return _recording(frames, numbers, source)
 
 
@@ -179,10 +183,8 @@ def frame_files(source: str) -> list[tuple[int, Path]]:
 
 
 def _openpose_body(person: Any, where: str) -> _Body | None:
-    person = person if isinstance(person, dict) else {}
-    values = person.get("pose_keypoints_3d")
-    # Without --3d, the list is empty of people who are seen in the image, too.
-    if values == [] and not person.get("pose_keypoints_2d"):
+    values = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
+    if values == []:  # as of people whom too few cameras see, although with --3d
         return None
     numbers = array_of(values)
     if numbers.ndim != 1 or len(numbers) != 4 * len(BODY_25):

@@ -62,7 +62,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
     unknown, so all joints count as tracked; stature and mass come from the segments.
     """
     with refused(path, DAMAGED):
-        stage, skeleton_prim, query, names, codes = first_animated(path)
+        stage, _, query, names, codes = first_animated(path)
         skeleton = own_skeleton(names)
         if skeleton is None:
             first = ", ".join(names[:3])[:60]
@@ -77,7 +77,6 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
         axes = from_z_up if z_up else np.asarray
         animation = UsdSkel.Animation(query.GetAnimQuery().GetPrim())
-        rest = np.array(UsdSkel.Skeleton(skeleton_prim).GetRestTransformsAttr().Get())
         places = _samples(animation.GetTranslationsAttr(), codes)
         xyzw = _samples(animation.GetRotationsAttr(), codes)
         folder, props = stage.GetPrimAtPath(f"{CHARACTER}/Props"), []
@@ -90,7 +89,7 @@ def clip_arrays(path: str) -> dict[str, NDArray[Any]]:
         world = rig_of(standard_body(skeleton)).world_rotations(turns)
         root = axes(places[:, 0].astype(np.float64)) * meters
         time = np.array(codes) / stage.GetTimeCodesPerSecond()
-        offsets = axes(rest[:, 3, :3]) * meters
+        offsets = axes(places[0].astype(np.float64)) * meters  # not those of a layer
         motion = motion_of_rig(skeleton, offsets, world, root, time, path)
         provenance = _provenance(character, codes, skeleton, path)
         return clip_as_arrays(Clip.of(motion, **provenance, props=tuple(props)))
