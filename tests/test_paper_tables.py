@@ -73,8 +73,8 @@ def test_errors_joint_by_joint_are_those_of_the_arms() -> None:
     counts = {}
     for name, frames, raw, _, chiangs, *by_joint in study.rows:
         exercise, people, samples = name.split(", ")
-        if people != "new":  # one person teaches too little about another
-            assert chiangs < raw
+        # One person teaches little about another, but nothing wrong.
+        assert chiangs < (1.02 if people == "new" else 1.0) * raw
         counts[people, samples] = frames
         if people != "paper":
             assert np.mean(by_joint) == pytest.approx(chiangs, rel=0.05)

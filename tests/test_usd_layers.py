@@ -74,6 +74,13 @@ def test_a_character_that_does_not_fit_is_refused_and_left(
     ):
         with pytest.raises(InputError, match=rf"sam\.usda: .*{words}"):
             write_clip(clip, tmp_path / "b.usda", export)
+    stage = Usd.Stage.Open(str(sam))
+    stage.RemovePrim("/Character/Skin")
+    stage.GetPrimAtPath("/Character/Skeleton").RemoveProperty("bindTransforms")
+    stage.Export(str(tmp_path / "bare.usda"))
+    bare = Export(character=tmp_path / "bare.usda")
+    with pytest.raises(InputError, match=r"bare\.usda: .*joints"):
+        write_clip(make_clip(2), tmp_path / "b.usda", bare)
     (tmp_path / "text.usda").write_text("text")
     text = Export(character=tmp_path / "text.usda")
     with pytest.raises(InputError, match="cannot be read as USD"):

@@ -20,7 +20,8 @@ from .guarded import read_usd
 from .rig import Rig, rig_of
 
 # m between joints at rest of two people. Those of takes of one person (p00, p04, p08,
-# p10, p14, sensors at 0 to 90 degrees) differ by up to 0.176.
+# p10, p14, sensors at 0 to 90 degrees) differ by up to 0.176; of p02, p06, p12, p16 and
+# p18, who had no say, by 0.145.
 _ANOTHER = 0.2
 
 CHARACTER = "/Character"
@@ -59,7 +60,8 @@ def joint_paths(rig: Rig) -> list[str]:
 def check_character(path: Path, rig: Rig, export: Export) -> None:
     """Raise an InputError if clips of a rig cannot reference a character layer."""
     layer = _character(str(path), path.stat().st_mtime_ns)
-    if layer["joints"].tolist() != joint_paths(rig):
+    places, wanted = layer["places"], export.points(rig.positions)
+    if layer["joints"].tolist() != joint_paths(rig) or len(places) != len(wanted):
         wrong = "does not have this take's joints; give --character another name"
         raise InputError(f"{path}: {SKELETON} {wrong}")
     up, unit = str(layer["up"]), layer["unit"].item()
@@ -68,7 +70,6 @@ def check_character(path: Path, rig: Rig, export: Export) -> None:
             f"{path}: the character has {up} up and units of {unit:g} m, the clip "
             f"{export.up} up and {export.meters_per_unit:g} m; set --up and --units"
         )
-    places, wanted = layer["places"], export.points(rig.positions)
     away = np.linalg.norm(places - wanted, axis=1).max() * unit
     if not away <= _ANOTHER:
         raise InputError(

@@ -28,7 +28,9 @@ _PER_LIFT = 15.0  # per m of the ankle above the other
 _PER_HEIGHT = 12.0  # per m of both above what Kinect's errors in squats lift them by
 _LOWER, _HIGHER = -0.1, 0.3  # m: heights are clipped to this range
 _ERROR_OF_HEIGHT = 0.1  # m
-_OFF_FLOOR = 0.25  # m of a resting foot; at most 0.11 in half of the recorded takes
+# m of a resting foot over the floor: at most 0.11 in the half of the recorded takes
+# that chose it, and 0.08 in the other half.
+_OFF_FLOOR = 0.25
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for planted
 _SWITCH = 4.0  # cost of a change in log odds: the hysteresis. A guess.
 _SPEED_TIME = 0.1  # s over which speed is averaged where there is no look-ahead
