@@ -20,7 +20,7 @@ from .holdable import HORIZONTAL, UP, Holdable
 
 # All of these are guesses, tried on scripted performances with a basketball.
 _STILL = 0.1  # m/s: a hand that goes down more slowly is at the top of a stroke
-_DEPTH, _STROKE = 0.04, 0.35  # m and m/s of a hand that makes a stroke, at least
+_DEPTH, _STROKE = 0.03, 0.25  # m and m/s of a hand that makes a stroke, at least
 _UNDER = 0.06  # m from its place under the palm, at most, of a ball that is pushed
 _FIRMNESS = 25.0  # rad/s: natural frequency at which a hand has a ball there
 _FLIGHT, _SHORTEST = 0.5, 0.25  # s until the first ball is to be back, or any
