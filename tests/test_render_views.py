@@ -224,7 +224,7 @@ def test_a_take_of_another_clip_is_not_drawn_beside_it(
         clip, moved_by_correction=still, moved_by_physics=still, tilt=0.0, floor=0.0
     )
     write_take_csv(make_clip(20, seed=1), tmp_path / "take.csv")
-    with pytest.raises(InputError, match=r"--compare .*take\.csv.* cm or more from"):
+    with pytest.raises(InputError, match=r"--compare .*take\.csv.* not where the clip"):
         raw_positions(tmp_path / "take.csv", clip, clip.time)
 
 
