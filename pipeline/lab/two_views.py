@@ -21,18 +21,23 @@ from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.workers import workers
-from kinefilter.retarget import HeadingFrame
 
 from .accuracy import area_under_roc
 from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
-from .view_sessions import LIMBS, Session, placed, read_views, view_pairs, yaw_of
+from .view_sessions import (
+    FAR,
+    LIMBS,
+    Session,
+    away_from,
+    read_views,
+    view_pairs,
+    yaw_of,
+)
 
 _TRUNK = "trunk"  # of which the heading is compared
-FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
-
 _FOLDS = 4  # groups of people; each is tested by training on the others
 
 Figures = dict[str, Any]
@@ -137,14 +142,6 @@ def _compare(
         "rows": rows,
         "joints": [a[known] for a in (wrong, doubt, np.repeat(sure, 2, axis=1))],
     }
-
-
-def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return joints' distances [m] from the truth less their median offset, (T, J)."""
-    away = placed(positions, truth, skeleton) - truth
-    heading = HeadingFrame(np.zeros_like(truth[:, 0]), yaw_of(truth, skeleton))
-    facing = heading.remove(away)
-    return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
 
 
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
