@@ -208,7 +208,7 @@ def whole_frames(positions: Array) -> Flags:
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
     """Return rotations relative to a T-pose in the first frame; None without one."""
     skeleton = body.skeleton
-    heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
+    heading = about_y(find_yaw(first, skeleton))
     parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]
     limbs = np.flatnonzero(parts)
     bones = first[limbs] - first[np.array(skeleton.parents)[limbs]]

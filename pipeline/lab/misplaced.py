@@ -26,7 +26,7 @@ from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.merge.lag import interpolate_gaps
-from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .view_sessions import (
     FAR,
@@ -35,7 +35,6 @@ from .view_sessions import (
     away_from,
     find_sessions,
     read_views,
-    yaw_of,
 )
 
 PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
@@ -70,7 +69,10 @@ def describe_limbs(take: Take) -> Array:
     filled = interpolate_gaps(time, take.positions[first].reshape(len(time), -1))
     positions = filled.reshape(len(time), -1, 3)
     features = np.zeros((*positions.shape[:2], len(FEATURES)))
-    yaw, root = np.nan_to_num(yaw_of(positions, skeleton)), positions[:, skeleton.root]
+    yaw, root = (
+        np.nan_to_num(find_yaw(positions, skeleton)),
+        positions[:, skeleton.root],
+    )
     placed = HeadingFrame(root, yaw).remove(positions)
     turned = yaw - np.arctan2(-root[:, 0], -root[:, 2])  # 0 facing the sensor
     elapsed = np.diff(time, prepend=time[0] - step)[:, None, None]

@@ -21,6 +21,7 @@ from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.workers import workers
+from kinefilter.retarget import find_yaw
 
 from .accuracy import area_under_roc
 from .methods.training_data import TrainingSet
@@ -34,7 +35,6 @@ from .view_sessions import (
     away_from,
     read_views,
     view_pairs,
-    yaw_of,
 )
 
 _TRUNK = "trunk"  # of which the heading is compared
@@ -150,8 +150,8 @@ def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]
     middles = (0.5 * (p[:, line] + p[:, mirror]) for p in (truth, positions))
-    true_yaw = yaw_of(placement(*middles).rotate(truth), skeleton)
-    return np.degrees(np.abs(wrapped(yaw_of(positions, skeleton) - true_yaw)))
+    true_yaw = find_yaw(placement(*middles).rotate(truth), skeleton)
+    return np.degrees(np.abs(wrapped(find_yaw(positions, skeleton) - true_yaw)))
 
 
 def _mean(values: Any) -> float | None:

@@ -147,16 +147,11 @@ def _mended(take: Take) -> Take:
     return swapped_back(once, swapped_frames(once)).at(frames)
 
 
-def yaw_of(positions: Array, skeleton: Skeleton) -> Array:
-    """Return headings [rad] by hips and shoulders, all of which count alike, (T,)."""
-    return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
-
-
 def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
     view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
-    return np.degrees(np.abs(wrapped(yaw_of(positions, take.skeleton) - view)))
+    return np.degrees(np.abs(wrapped(find_yaw(positions, take.skeleton) - view)))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
@@ -200,6 +195,6 @@ def placed(positions: Array, onto: Array, skeleton: Skeleton) -> Array:
 def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     """Return joints' distances [m] from the truth less their median offset, (T, J)."""
     away = placed(positions, truth, skeleton) - truth
-    heading = HeadingFrame(np.zeros_like(truth[:, 0]), yaw_of(truth, skeleton))
+    heading = HeadingFrame(np.zeros_like(truth[:, 0]), find_yaw(truth, skeleton))
     facing = heading.remove(away)
     return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))

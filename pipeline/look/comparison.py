@@ -118,7 +118,7 @@ def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[st
     # Fusion has corrected gross failures of single sensors.
     failures, positions = () if fused else find_failures(take), clip.positions[distinct]
     mended = unmirrored(take, failures).positions
-    yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
+    yaw = find_yaw(positions, skeleton)
     displaced = find_displaced(time, mended, positions, yaw, skeleton)
     sentences = describe_failures([*failures, *displaced], time[0])
     return (*describe_gaps(long_gaps(time), time[0]), *sentences)
