@@ -23,8 +23,7 @@ from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.look.comparison import read_comparison, same_times
 from kinefilter.pipeline.look.drawing import Drawing
 from kinefilter.pipeline.look.edit_history import EditHistory
-from kinefilter.pipeline.look.playhead import Playback
-from kinefilter.pipeline.look.timelines import Curves, timeline_html
+from kinefilter.pipeline.look.timelines import Curves, Playback, timeline_html
 from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.scenes import SAMPLE

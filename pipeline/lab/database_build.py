@@ -9,8 +9,7 @@ import numpy as np
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.database import PostureDatabase, filter_to_count
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.pairs import PairedTake

@@ -17,8 +17,7 @@ from kinefilter.pipeline.progress import Progress
 
 from .drawing import Drawing, Sensor
 from .edit_history import EditHistory
-from .playhead import Playback
-from .timelines import AXES, Curves, timeline_html
+from .timelines import AXES, Curves, Playback, timeline_html
 from .viewer_scene import ViewerScene
 from .viewer_server import Action, ServedPage, table_html
 
