@@ -103,7 +103,7 @@ def align(first: Take, second: Take) -> Alignment:
             f"{_MIN_COMMON:g} s, at any lag; give takes of the same time"
         )
     # A sensor behind the person has left and right swapped.
-    pairs = [_Pair(first, take) for take in (second, second.swapped())]
+    pairs = [TwoTakes(first, take) for take in (second, second.swapped())]
     fits = []
     for k in peaks[np.argsort(-certainties[peaks])][:_CANDIDATES]:
         clock = Clock(float(first.time[0]), float(second.time[0] + lags[k] / _RATE))
@@ -186,7 +186,7 @@ def _filtered(
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
-class _Pair:
+class TwoTakes:
     """Two takes, compared by the joints that they have in common."""
 
     def __init__(self, first: Take, second: Take) -> None:
