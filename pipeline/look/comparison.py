@@ -23,7 +23,7 @@ from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import in_world, leveled, to_world
-from kinefilter.pipeline.target.upright import find_turn
+from kinefilter.pipeline.upright import find_turn
 from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip, sensors_of

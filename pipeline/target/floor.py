@@ -12,10 +12,10 @@ import numpy as np
 from kinefilter.characters import Body, Clip, Skeleton, Take
 from kinefilter.characters.anthropometry import joint_masses
 from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.pipeline.upright import HANGING, posture_of
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .feet import ankles_and_toes
-from .upright import HANGING, posture_of
 
 _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
