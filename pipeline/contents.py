@@ -45,7 +45,7 @@ _PARTS = {
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
-_CALIBRATION = "kinefilter calibration"  # as merge/calibration.py writes it
+_CALIBRATION = "kinefilter calibration"  # as merge/session.py writes it
 _IN_PLACE = 1e-5  # m over the floor: no one stands so still
 _LISTED = 30  # joint names listed on a terminal
 _SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}
