@@ -21,7 +21,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.formats.files import as_path, new_text
-from kinefilter.pipeline.look.comparison import leveled_to_clip
+from kinefilter.pipeline.look.comparison import laid_onto_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.page import facing, millimeters, packed, write_page
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -259,7 +259,7 @@ def _on_floor(take: Take, standing: Clip | Take) -> Array:
     if isinstance(standing, Clip) and np.isfinite(standing.tilt):
         positions = leveled(positions, standing.tilt, standing.roll)
     else:
-        positions = leveled_to_clip(take, standing)
+        positions = laid_onto_clip(take, standing)
     rise = np.array([0.0, height - _foot_height(positions), 0.0])
     return np.asarray(positions + rise)
 

@@ -22,8 +22,7 @@ from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
-from kinefilter.pipeline.target.floor import in_world, leveled, to_world
-from kinefilter.pipeline.upright import find_turn
+from kinefilter.pipeline.target.floor import in_world
 from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip, sensors_of
@@ -38,8 +37,6 @@ _FARTHEST = 1e3  # m from the origin: no sensor and no hall reaches as far
 _ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, USD in half precision
 _SAME_LENGTH = 0.2  # s by which two clips of one take may differ in length
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
-_LEAST_TILT = np.radians(1.5)  # a smaller tilt is an effect of cleaning
-_STEPS = 8  # of Newton's method: each squares the error of the angle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,7 +89,7 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
     """
     clip = _with_stamps_of(take, clip)
     _check(clip, take)
-    raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
+    raw = (in_clip_frame if _has_provenance(clip) else laid_onto_clip)(take, clip)
     distinct = distinct_stamps(clip.time)
     time, stands = clip.time[distinct], planted_feet(clip.contacts)[distinct]
 
@@ -158,7 +155,7 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
                 f"the take runs from {take.time[0]:.2f} to {take.time[-1]:.2f} s, "
                 f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}"
             )
-        placed = (in_clip_frame if _has_leveling(clip) else leveled_to_clip)(take, clip)
+        placed = (in_clip_frame if _has_leveling(clip) else laid_onto_clip)(take, clip)
     except InputError as error:
         raise InputError(f"--compare {path}: {error}") from None
     return np.where((apart > _APART)[:, None, None], np.nan, placed[nearest])
@@ -252,38 +249,18 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
     return positions
 
 
-def leveled_to_clip(take: Take, clip: Clip | Take) -> Array:
+def laid_onto_clip(take: Take, clip: Clip | Take) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
-    For clips that do not store tilt and floor (BVH, CSV): both are estimated from the
-    heights of the joints. Raises an InputError if the take has no joint at their times.
+    For clips that do not store tilt and floor (BVH, CSV): a rigid transform lays the
+    take onto them. Raises an InputError if it has no joint at their times.
     """
-    frames = nearest_frames(take.time, clip.time)
-    turn = find_turn(take.positions, take.skeleton)
-    positions = leveled(take.positions, turn.tilt, turn.roll)
-    raw, clean = positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
-    valid = np.isfinite(raw).all(axis=1)
-    if not valid.any():
+    from kinefilter.pipeline.merge.rigid import placement
+
+    raw = take.positions[nearest_frames(take.time, clip.time)]
+    if not np.isfinite(raw).any():
         raise InputError("the take has no joint at the times of the clip")
-    return to_world(positions, *_tilt_and_floor(raw[valid], clean[valid]))
-
-
-def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
-    """Return tilt [rad] and floor height [m] that map raw to clean points (N, 3)."""
-    # Robust least squares of the heights, by Newton's method.
-    tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
-    for _ in range(_STEPS):
-        turned = leveled(raw, tilt)
-        rise = clean[:, 1] - turned[:, 1]
-        columns = np.stack([-turned[:, 2], np.ones(len(raw))], axis=1)
-        step = np.linalg.lstsq(columns[used], rise[used], rcond=None)[0]
-        tilt += float(step[0])
-        errors = np.abs(rise - columns @ step)
-        used = errors <= 3.0 * np.median(errors) + 1e-9
-    if abs(tilt) < _LEAST_TILT:
-        tilt = 0.0
-    turned = leveled(raw, tilt)
-    return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
+    return placement(raw, clip.positions).apply(take.positions)
 
 
 def _check_made_from(clip: Clip, raw: Array) -> None:
