@@ -215,6 +215,7 @@ def find_displaced(
 ) -> Iterator[Failure]:
     """Yield the stretches in which cleaning moved a limb far relative to the hips.
 
+    How far a joint is moved tells wrong joints better than any reliability does.
     Positions [m] (T, J, 3) are those of the sensor, NaN where missing, and those after
     cleaning; time stamps [s] (T,) increase strictly, and ``yaw`` (T,) is the heading.
     """

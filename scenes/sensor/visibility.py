@@ -2,7 +2,9 @@
 
 Rays go to a disk across the line of sight to every joint, filled by the part's own
 capsule, and to a ring around it. Whatever a ray of the disk hits before the part hides
-the part; whatever a ray of the ring hits at the part's depth cannot be told apart.
+the part; whatever a ray of the ring hits at the part's depth cannot be told apart. They
+are cast into a scene with the body, each of whose segments is a MuJoCo mocap body with
+the segment's capsules.
 """
 
 from collections.abc import Mapping, Sequence
