@@ -14,12 +14,7 @@ from rich.table import Table
 from kinefilter.characters import KINECT_V1, Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import (
-    CONTACTS,
-    Origin,
-    distinct_stamps,
-    nominal_step,
-)
+from kinefilter.characters.motion import CONTACTS, Origin, distinct_stamps, nominal_step
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase

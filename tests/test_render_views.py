@@ -19,12 +19,7 @@ from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
 from kinefilter.pipeline.look.comparison import raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
-from kinefilter.pipeline.look.video import (
-    PART,
-    output_paths,
-    shown_frames,
-    stretches,
-)
+from kinefilter.pipeline.look.video import PART, output_paths, shown_frames, stretches
 from kinefilter.scenes.library import perform
 
 ASPECT = 16 / 9

@@ -11,10 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kinefilter.pipeline import database
-from kinefilter.pipeline.database import (
-    filter_postures,
-    filter_to_count,
-)
+from kinefilter.pipeline.database import filter_postures, filter_to_count
 
 Array = NDArray[np.float64]
 

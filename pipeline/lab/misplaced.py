@@ -28,14 +28,7 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.retarget import HeadingFrame, find_yaw
 
-from .view_sessions import (
-    FAR,
-    LIMBS,
-    Session,
-    away_from,
-    find_sessions,
-    read_views,
-)
+from .view_sessions import FAR, LIMBS, Session, away_from, find_sessions, read_views
 
 PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
 """The scored joints, and the first joints of their limbs."""

@@ -28,14 +28,7 @@ from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
-from .view_sessions import (
-    FAR,
-    LIMBS,
-    Session,
-    away_from,
-    read_views,
-    view_pairs,
-)
+from .view_sessions import FAR, LIMBS, Session, away_from, read_views, view_pairs
 
 _TRUNK = "trunk"  # of which the heading is compared
 _FOLDS = 4  # groups of people; each is tested by training on the others
