@@ -110,6 +110,8 @@ class Grasp:
         wanted = np.zeros((2, 3))
         if self._carry is None:
             wanted = self._seek(performer)
+            if self._waited > 0.0:  # the hands stay at the prop, not the performer's
+                self._away -= performer.velocity * dt
             if self._leaving > 0.0:  # first aside from what the hands put down
                 self._leaving -= dt
                 outward = unit(self._beside - self._beside.mean(axis=0))
@@ -205,7 +207,11 @@ class Grasp:
         outward = unit(places - places.mean(axis=0))
         above = hands[:, 1] - places[:, 1]
         inside = np.vecdot(places - hands, outward) > _INSIDE
-        first = places + _AROUND * np.clip(above / 0.1, 0.0, 1.0)[:, None] * outward
+        aside = np.clip(above / 0.1, 0.0, 1.0)
+        if prop.round:  # would roll away from the hand that comes first
+            late = np.linalg.norm(places - hands, axis=-1).max() - _AROUND
+            aside = np.maximum(aside, np.clip(late / 0.1, 0.0, 1.0))
+        first = places + _AROUND * aside[:, None] * outward
         top = prop.center[1] + prop.extent(UP) + 2.0 * _AROUND
         first[inside & (above > 0.0), 1] = top
         return np.asarray(first)
