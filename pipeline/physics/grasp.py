@@ -3,7 +3,8 @@
 A performer mimes: what they hold has another size and place than the prop of the scene.
 Where both hands slow down on either side of a prop, the character's hands go to its own
 faces. There each palm is tied to the prop until the performer's hands part or hang, the
-prop rests where they put it down, or it pulls harder than hands can.
+prop rests where they put it down, or it pulls harder than hands can. A ball may go to
+one hand that pushes it to the floor, and back.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ class Grasp:
             if carried is not None:
                 wanted = carried - performer.palms
             elif (passed := self._passed_on(performer)) is not None:
-                self._carry = passed
+                self._carry, wanted = passed, self._away
             else:
                 self.drop()
                 self._beside, self._leaving = self._now, _LEAVING_TIME
