@@ -97,8 +97,8 @@ class Evaluate:
     mocap_database: bool = False
     """Use the mocap of the training clips as the motion database."""
     hide: tuple[str, ...] = ()
-    """Limbs to hide, one at a time: left-arm, right-arm, arms, left-leg, legs, shins,
-    left-hand (wrist and hand) and so on."""
+    """Limbs to hide, one at a time, comma-separated: left-arm, right-arm, arms,
+    left-leg, legs, shins, left-hand (wrist and hand) and so on."""
     gap: tuple[str, ...] = ("55%",)
     """How long a limb is hidden: seconds, or a percentage of the clip. Clips that are
     too short are skipped and counted."""
@@ -179,7 +179,9 @@ class Evaluate:
                 "--hide needs pairs files, as in evaluate PAIRS --hide left-arm"
             )
         options = hidden_limbs.HiddenLimbs(
-            self.hide, self.gap, self.guess, self.context, self.live, self.physics
+            tuple(_listed(",".join(self.hide))),
+            tuple(_listed(",".join(self.gap))),
+            *(self.guess, self.context, self.live, self.physics),
         )
         default = "" if self.presets else "none,default"
         with progress_bars() as progress:
@@ -198,8 +200,9 @@ class Evaluate:
             for by in (None, *get_args(hidden_limbs.By))
         }
         figures = asdict(options) | {"skipped": skipped, "rows": rows, "clips": records}
+        gaps = ", ".join(g if g[-1] == "%" else f"{g} s" for g in options.gaps)
         title = (
-            f"hidden for {', '.join(self.gap)}, guess {self.guess}, clips "
+            f"hidden for {gaps}, guess {self.guess}, clips "
             f"{'alone' if self.context == 'alone' else 'among repetitions'}"
             f"{', live' if self.live else ''}; {skipped} too short"
         )
