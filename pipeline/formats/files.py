@@ -53,19 +53,21 @@ _DAMAGE = (
 
 
 def check_folder(path: AnyPath) -> Path:
-    """Return ``path`` if a file can be written there, else raise InputError."""
+    """Return ``path`` if a file can be written there, else raise InputError.
+
+    Its folder may be missing: ``atomic_path`` creates it.
+    """
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
-    if not path.parent.is_dir():
-        wrong = f"folder {path.parent} does not exist; create it"
-        if path.parent.exists():
-            wrong = f"{path.parent} is a file; choose a folder"
-        raise InputError(f"{path}: {wrong}")
+    folder = next((p for p in path.parents if p.exists()), path.parent)
+    if not folder.is_dir():
+        wrong = "is a file; choose a folder" if folder.exists() else "does not exist"
+        raise InputError(f"{path}: {folder} {wrong}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     try:
-        with TemporaryFile(dir=path.parent):
+        with TemporaryFile(dir=folder):
             return path
     except OSError as error:
         reason = f"cannot be written ({error.strerror})"
@@ -86,8 +88,11 @@ def as_path(path: AnyPath) -> Path:
     try:
         found = Path(path)
         found.is_dir()
-    except (TypeError, OSError):  # not a name at all, or too long
+    except TypeError:
         raise InputError(f"{shown(path)}: is not a valid file name") from None
+    except OSError as error:  # too long, or in a folder without permission
+        wrong = f"cannot be accessed ({error.strerror})"
+        raise InputError(f"{shown(path)}: {wrong}; check its name and rights") from None
     return found
 
 
@@ -108,10 +113,12 @@ def part_paths(path: _Path, parts: int) -> list[_Path]:
 def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that replaces it on success.
 
+    Its folder is created if it is missing.
     If the block raises, an existing file stays as it was. The temporary path has the
     same suffix. Raises InputError if the file cannot be written.
     """
     target = check_folder(path)
+    make_folder(target.parent)
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
     try:
         yield temporary

@@ -282,8 +282,6 @@ class Reproduce:
         studies.check_names(names)
         studies.output.check_drawing()
         data = studies.recordings_folder(self.data)
-        if not folder.is_dir():
-            check_output(folder)  # only the last folder may be missing
         make_folder(folder)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
