@@ -280,6 +280,11 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
     assert names_in(tmp_path / "new" / "one") == ["clip.bvh"]
 
 
+def test_a_url_is_not_a_folder_to_create() -> None:
+    with pytest.raises(InputError, match="only batch takes URLs"):
+        check_folder("s3://bucket/clip.bvh")
+
+
 def test_a_folder_without_rights_is_called_so(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(_: Path) -> bool:
         raise PermissionError(errno.EACCES, "Permission denied")

@@ -17,6 +17,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryFile
 from tokenize import TokenError
 from typing import Any, TextIO, TypeVar
+from urllib.request import url2pathname
 
 import numpy as np
 
@@ -43,6 +44,7 @@ _UNUSABLE = re.compile(
     r'(con|prn|aux|nul|(com|lpt)\d)(\..*)?|.*[<>:"|?*].*|.*[ .]', re.IGNORECASE
 )
 """Names that Windows reserves for devices, changes, or refuses."""
+_FILE_URL = re.compile(r"((?:--[\w-]+=)?)file://(?:localhost)?(/.*)", re.DOTALL)
 _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 _DAMAGE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
@@ -60,6 +62,8 @@ def check_folder(path: AnyPath) -> Path:
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
+    if path.parts[:1] and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]):
+        raise InputError(f"{path}: only batch takes URLs; give a local path")
     folder = next((p for p in path.parents if p.exists()), path.parent)
     if not folder.is_dir():
         wrong = "is a file; choose a folder" if folder.exists() else "does not exist"
@@ -81,6 +85,15 @@ def make_folder(path: Path) -> None:
     except OSError as error:
         reason = f"cannot be created ({error.strerror})"
         raise InputError(f"{path}: {reason}; write elsewhere") from error
+
+
+def local_path(place: str) -> str:
+    """Return the path that a ``file://`` URL names, and any other text as it is.
+
+    An option may come before it, as in ``--out=file:///clips``.
+    """
+    found = _FILE_URL.fullmatch(place)
+    return place if found is None else found[1] + url2pathname(found[2])
 
 
 def as_path(path: AnyPath) -> Path:
