@@ -89,7 +89,11 @@ class Avatar:
         return self.turn.notes()
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
-        """Push a part of the body for a time; see ``PulledCharacter.push``."""
+        """Push the part of the body that ends at a joint for the next seconds.
+
+        The force [N], shape (3,), y up as in poses, acts on the part's center of mass.
+        Raises InputError if there is no such joint, or force or time is not valid.
+        """
         self.physics.push(part, force, seconds)
 
     def let_go(self) -> None:
