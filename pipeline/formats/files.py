@@ -104,8 +104,8 @@ def as_path(path: AnyPath) -> Path:
     except TypeError:
         raise InputError(f"{shown(path)}: is not a valid file name") from None
     except OSError as error:  # too long, or in a folder without permission
-        wrong = f"cannot be accessed ({error.strerror})"
-        raise InputError(f"{shown(path)}: {wrong}; check its name and rights") from None
+        wrong = f"cannot be accessed ({error.strerror}); check its name and rights"
+        raise InputError(f"{str(path)[:_LONGEST_PATH]}: {wrong}") from None
     return found
 
 
