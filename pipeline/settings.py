@@ -93,6 +93,15 @@ class Settings:
             )
         return list(range(1, len(first.takes) + 1))
 
+    def left_out(self, recordings: Sequence[Recording]) -> Iterator[str]:
+        """Yield a note if one of several people was chosen by default."""
+        first, count = recordings[0], len(recordings[0].takes)
+        if count > 1 and self.body is None and len(recordings) == 1:
+            yield (
+                f"cleaned body {first.main + 1} of {count}, the one seen in most "
+                f"frames; choose another with --body 1 to {count}, or --body all"
+            )
+
     def clean(
         self,
         recordings: Sequence[Recording],

@@ -229,6 +229,8 @@ def test_all_people_of_a_take_get_a_clip_each(tmp_path: Path) -> None:
     assert [row["body"] for row in table_of(tmp_path / "c")] == ["1", "2"]
     again = clean_files([str(two)], str(tmp_path / "c"), settings, suffix=".bvh")
     assert not again.rows
+    one_of_them = clean_files([str(two)], str(tmp_path / "d"), QUICK).rows[0]
+    assert "cleaned body 1 of 2" in "; ".join(one_of_them.clips[0].notes)
 
 
 def test_exit_codes_say_what_became_of_the_batch(

@@ -121,17 +121,11 @@ class Clean:
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
         merges = [merged for _, merged in results.values() if merged]
-        for notes in (recording.notes, *(merged.all_notes() for merged in merges)):
-            for note in notes:
-                out.print(note)
-        count = len(recording.takes)
-        if count > 1 and settings.body is None and not merges:
-            out.print(
-                f"cleaned body {recording.main + 1} of {count}, the one seen in most "
-                f"frames; choose another with --body 1 to {count}, or --body all"
-            )
+        merge_notes = [note for merged in merges for note in merged.all_notes()]
+        for note in (*recording.notes, *merge_notes, *settings.left_out(recordings)):
+            out.print(note)
         damaged = any(result.damage for result, _ in results.values())
-        left_out = several and len(results) < count
+        left_out = several and len(results) < len(recording.takes)
         return 1 if left_out or (self.fail_on_damage and damaged) else 0
 
     def _check(self, used: list[Path | None]) -> None:
