@@ -114,6 +114,7 @@ class View:
 
     def _listed(self, folder: Path) -> list[tuple[Row, ClipRow]]:
         """Return the clips of a batch, the worst first."""
+        from kinefilter.pipeline.batch.again import find_takes
         from kinefilter.pipeline.batch.manifest import read_rows
         from kinefilter.pipeline.batch.outcome_tables import worst_first
 
@@ -124,6 +125,11 @@ class View:
             )
         if not (clips := worst_first(read_rows(folder))):
             raise InputError(f"{folder}: its manifest lists no clips")
+        if self.take and not any(find_takes(row, self.take) for row, _ in clips):
+            raise InputError(
+                f"--take {self.take[0]}: holds no take of these clips, such as "
+                f"{clips[0][0].take}; give the folder that batch was given"
+            )
         return clips
 
     def _opened(
