@@ -210,7 +210,7 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 
     Paths in it are relative to the folder; without one, they must be absolute.
     """
-    expected = "write lines such as cutoff = 4.0"
+    expected = "write lines such as cutoff = 4.0 or method = 'none'"
     return settings_in(parse_toml(text, name, expected), name, folder)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -53,6 +56,24 @@ def test_a_url_of_a_local_folder_is_its_path(takes: Path, tmp_path: Path) -> Non
 def test_clips_are_not_written_into_memory(takes: Path) -> None:
     with pytest.raises(InputError, match="memory://clips: clips there would be lost"):
         clean_files([str(takes)], "memory://clips")
+
+
+def test_a_folder_without_rights_fails_alone(
+    takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan, locked = os.scandir, takes / "monday"
+
+    def scandir(path: str) -> Iterator[os.DirEntry[str]]:
+        if Path(path) == locked:
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    rows = clean_files([str(takes)], str(tmp_path / "clips"), QUICK, jobs=1).rows
+    assert {r.take for r in rows if r.status == "failed"} == {"monday/*"}
+    assert "a.csv" in {r.take for r in rows if r.status == "done"}
+    with pytest.raises(InputError, match=r"monday: cannot be searched \(Permission"):
+        find_sources([str(locked)], str(tmp_path))
 
 
 def test_an_empty_name_is_not_the_current_folder(

@@ -196,6 +196,8 @@ def check_file(path: AnyPath) -> Path:
             wrong = "is a pipe, a socket or a device; give a file"
         elif path.is_symlink():
             wrong = "is a link to a missing file; restore that file or remove the link"
+        elif path.parent.is_dir() and not os.access(path.parent, os.R_OK | os.X_OK):
+            wrong = "its folder cannot be searched; check permissions"
         raise InputError(f"{path}: {wrong}")
     return path
 
