@@ -17,14 +17,23 @@ from .target.upright import Turn
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """The character after a frame."""
+    """The character after a frame.
 
-    positions: Array  # joint positions [m], y up, floor at 0, shape (J, 3)
-    rotations: Array  # world segment rotations, wxyz, shape (J, 4)
-    stands: Flags  # whether each foot (left, right) is planted, shape (2,)
-    external_force: float  # force on the body beyond muscles and floor [body weights]
-    reset: bool  # whether it was reset onto its target; see ``PhysicsTrace.reset``
-    impossible: bool = False  # whether the body's size or place made it be ignored
+    Attributes:
+        positions: Joint positions [m], y up, floor at 0, shape (J, 3).
+        rotations: World segment rotations, wxyz, shape (J, 4).
+        stands: Whether each foot (left, right) is planted, shape (2,).
+        external_force: Force on the body beyond muscles and floor [body weights].
+        reset: Whether it was reset onto its target; see ``PhysicsTrace.reset``.
+        impossible: Whether the body's size or place made the frame be ignored.
+    """
+
+    positions: Array
+    rotations: Array
+    stands: Flags
+    external_force: float
+    reset: bool
+    impossible: bool = False
 
 
 class Avatar:

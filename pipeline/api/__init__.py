@@ -1,6 +1,11 @@
 """kinefilter turns noisy Kinect skeleton takes into clips that animators ship.
 
-This module offers what most users need, and imports it on first use.
+This module offers what most users need, and imports it on first use. Fields of
+``CleanConfig`` and ``Export`` are options that ``kinefilter clean --help`` explains.
+
+    take = kinefilter.read_take("take.csv")
+    result = kinefilter.clean(take, kinefilter.CleanConfig(cutoff=4.0))
+    kinefilter.write_clip(result.clip, "clip.glb", kinefilter.Export(fps=24.0))
 """
 
 from importlib import import_module
