@@ -17,7 +17,7 @@ from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, one_skeleton
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import Mode
@@ -137,6 +137,8 @@ def _folds(
 ) -> Iterator[tuple[list[Case], list[_Ready]]]:
     learning = [system for system in systems if system.learns or recordings]
     yield cases, [_Ready(system) for system in systems if system not in learning]
+    if learning:
+        one_skeleton(pairs)
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
