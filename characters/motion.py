@@ -178,6 +178,11 @@ class _Frames:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        own: Any = self  # a dataclass, whose arrays would fill the screen
+        kind, of = type(self).__name__, own.skeleton.name
+        return f"<{kind} {own.source!r}: {len(self)} frames of {of}>"
+
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
@@ -192,7 +197,7 @@ class _Frames:
         return replace(self, **some)  # type: ignore[type-var] # a dataclass
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Take(_Frames):
     """A recording of one person, as the sensor delivered it; arrays are read-only.
 
@@ -245,7 +250,7 @@ class Take(_Frames):
         return replace(self, state=state)  # which has no position there either
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Motion(_Frames):
     """Motion of a body; arrays are read-only.
 
@@ -290,7 +295,7 @@ class Motion(_Frames):
         return read_only(positions_from_rotations(self.rotations, self.root, self.body))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Clip(Motion):
     """A cleaned motion with the provenance of each joint; its times are the take's.
 

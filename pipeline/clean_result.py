@@ -24,7 +24,7 @@ from .uncertainty import uncertainty
 _OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CleanResult:
     """A cleaned clip and a record of how it came about.
 
@@ -52,6 +52,9 @@ class CleanResult:
     failures: tuple[Failure, ...]
     notes: tuple[str, ...]
     clips: tuple[Clip, ...]
+
+    def __repr__(self) -> str:
+        return f"<CleanResult with {self.clip!r}>"
 
     @property
     def damage(self) -> tuple[str, ...]:

@@ -144,8 +144,10 @@ def test_help_tells_what_every_field_is() -> None:
     for kind in filter(is_dataclass, kinds):
         if f"``{kind.__name__}``" not in kinefilter.__doc__:  # or a command's help does
             told = "".join(base.__doc__ or "" for base in kind.__mro__)
-            names = [f.name for f in fields(kind) if f.repr and f.name[0] != "_"]
+            names = [f.name for f in fields(kind) if f.name[0] != "_"]
             assert [name for name in names if f"    {name}: " not in told] == []
+    take = kinefilter.read_take(ROOT / "scenes" / "takes" / "wave_punch_bend.csv")
+    assert repr(take).endswith("wave_punch_bend.csv': 298 frames of kinect_v1>")
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))

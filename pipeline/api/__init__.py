@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.formats.takes import read_take, read_takes
     from kinefilter.pipeline.lab.evaluate import evaluate
     from kinefilter.pipeline.merge import clean_session, merge
+    from kinefilter.pipeline.pairs import read_pairs
 
 _PLACES = {
     "characters": ("Clip", "InputError", "Motion", "Take"),
@@ -34,6 +35,7 @@ _PLACES = {
     "pipeline.formats.takes": ("read_take", "read_takes"),
     "pipeline.lab.evaluate": ("evaluate",),
     "pipeline.merge": ("clean_session", "merge"),
+    "pipeline.pairs": ("read_pairs",),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
@@ -55,6 +57,7 @@ __all__ = [
     "evaluate",
     "merge",
     "read_clip",
+    "read_pairs",
     "read_take",
     "read_takes",
     "write_clip",

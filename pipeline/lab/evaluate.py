@@ -53,11 +53,11 @@ def evaluate(
 ) -> dict[str, Any]:
     """Return the errors of methods, in cm, and their speed.
 
-    Arguments are the options of ``kinefilter evaluate``, which explains them, with
-    clips in place of files; ``assigned`` is its ``--set``. ``database`` is by default
-    the built-in one, and with ``mocap`` made of the training clips. Raises an
-    InputError if a method is unknown, if people or repetitions are too few, or if
-    skeletons differ.
+    Arguments are the options of ``kinefilter evaluate``, which explains them, with what
+    ``read_pairs`` returns in place of files; ``assigned`` is its ``--set``.
+    ``database`` is by default the built-in one, and with ``mocap`` made of the training
+    clips. Raises an InputError if a method is unknown, if people or repetitions are too
+    few, or if skeletons differ.
     """
     for items, kind, what in (
         (methods, str, "methods"),
