@@ -89,6 +89,8 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; give the path of a recording")
+        for folder in filter(Path.is_dir, self.takes):
+            raise InputError(f"{folder}: is a folder; use 'kinefilter batch' for it")
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
