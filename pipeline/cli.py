@@ -82,6 +82,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as ended:  # its arguments are notes for the user
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
+    except PermissionError as error:
+        err.print(
+            f"kinefilter: {error.filename}: cannot be accessed; check permissions"
+        )
+        return 2
     except OSError as error:
         windows = sys.platform == "win32" and error.errno == errno.EINVAL
         if not (windows or isinstance(error, BrokenPipeError)):

@@ -32,6 +32,7 @@ from kinefilter.characters import (
     State,
 )
 from kinefilter.pipeline import formats
+from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     atomic_path,
     check_folder,
@@ -285,13 +286,17 @@ def test_a_url_is_not_a_folder_to_create() -> None:
         check_folder("s3://bucket/clip.bvh")
 
 
-def test_a_folder_without_rights_is_called_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(_: Path) -> bool:
-        raise PermissionError(errno.EACCES, "Permission denied")
+def test_a_folder_without_rights_is_called_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def forbidden(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "is_dir", forbidden)
     with pytest.raises(InputError, match=r"^private/clip.bvh: .*Permission denied"):
         check_folder("private/clip.bvh")
+    assert main(["view", "private/clip.npz"]) == 2
+    assert "kinefilter: private/clip.npz: cannot" in capsys.readouterr().err
 
 
 def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> None:

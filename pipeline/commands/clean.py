@@ -16,7 +16,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
-from kinefilter.pipeline.formats.files import numbered, part_paths
+from kinefilter.pipeline.formats.files import as_path, numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (
@@ -89,8 +89,9 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; give the path of a recording")
-        for folder in filter(Path.is_dir, self.takes):
-            raise InputError(f"{folder}: is a folder; use 'kinefilter batch' for it")
+        for take in self.takes:
+            if as_path(take).is_dir():
+                raise InputError(f"{take}: is a folder; use 'kinefilter batch' for it")
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
