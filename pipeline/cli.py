@@ -83,9 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
     except PermissionError as error:
-        err.print(
-            f"kinefilter: {error.filename}: cannot be accessed; check permissions"
-        )
+        where = error.filename or error
+        err.print(f"kinefilter: {where}: cannot be accessed; check permissions")
         return 2
     except OSError as error:
         windows = sys.platform == "win32" and error.errno == errno.EINVAL
