@@ -96,9 +96,11 @@ class View:
                 yield f"{take[1]} ({', '.join(map(' '.join, figures))})"
 
         with suppress(KeyboardInterrupt):  # the regular way to quit
-            number, opened = 0, self._opened(clips, 0)
+            paths = enumerate(self.motion[0] / clip.output for _, clip in clips)
+            number = next((k for k, path in paths if path.is_file()), 0)
+            opened = self._opened(clips, number)
             with opened_server(self.bind, self.port) as server:
-                viewer = Viewer(server, *opened, listed=[*names()])
+                viewer = Viewer(server, *opened, listed=[*names()], shown=number)
                 shown = ", ".join(map(str, self.motion))
                 out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
                 if self.open:
