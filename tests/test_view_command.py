@@ -201,7 +201,7 @@ def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
     )
     for arguments, words in (
         ([str(clips), "--method", "none"], "apply to a folder"),
-        ([str(clips), "--take", str(clips)], "holds no take of these clips, such as"),
+        ([str(clips), "--take", str(clips)], "has no take of these clips"),
         ([str(takes)], "no manifest.jsonl"),
     ):
         assert words in _refused(arguments, capsys), arguments

@@ -129,8 +129,8 @@ class View:
             raise InputError(f"{folder}: its manifest lists no clips")
         if self.take and not any(find_takes(row, self.take) for row, _ in clips):
             raise InputError(
-                f"--take {self.take[0]}: holds no take of these clips, such as "
-                f"{clips[0][0].take}; give the folder that batch was given"
+                f"--take {self.take[0]}: has no take of these clips; give the folder "
+                f"that contains {clips[0][0].take}"
             )
         return clips
 
