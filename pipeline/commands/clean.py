@@ -89,9 +89,9 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; give the path of a recording")
-        for take in self.takes:
-            if as_path(take).is_dir():
-                raise InputError(f"{take}: is a folder; use 'kinefilter batch' for it")
+        for place in self.takes:
+            if as_path(place).is_dir():
+                raise InputError(f"{place}: is a folder; use 'kinefilter batch' for it")
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
