@@ -53,8 +53,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """Return the errors of methods, in cm, and their speed.
 
-    Arguments are the options of ``kinefilter evaluate``, which explains them, with what
-    ``read_pairs`` returns in place of files; ``assigned`` is its ``--set``.
+    ``kinefilter evaluate --help`` explains the figures, and the arguments as options;
+    clips, from ``read_pairs``, are in place of files, and ``assigned`` is ``--set``.
     ``database`` is by default the built-in one, and with ``mocap`` made of the training
     clips. Raises an InputError if a method is unknown, if people or repetitions are too
     few, or if skeletons differ.
