@@ -146,7 +146,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([take, "--take", take], "requires a clip"),
         ([take, "--edits", take], "would overwrite"),
         ([clip, "--edits", clip], "would overwrite"),
-        ([clip, "--edits", str(tmp_path / "none" / "e.toml")], "not exist"),
+        ([clip, "--edits", str(contacts / "e.toml")], "is a file"),
         ([take, "--contacts", str(contacts), "--edits", str(contacts)], "overwrite"),
         ([str(copied)], "malformed.edits.toml: unknown 'oddly'"),
         ([clip, "--bind", "192.0.2.1"], "not an address of this machine"),
