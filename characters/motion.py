@@ -178,6 +178,11 @@ class _Frames:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        own: Any = self  # a dataclass, whose arrays would fill the screen
+        kind, of = type(self).__name__, own.skeleton.name
+        return f"<{kind} {own.source!r}: {len(self)} frames of {of}>"
+
     @property
     def fps(self) -> float:
         """Nominal frame rate [1/s]: one over the median time step."""
@@ -192,22 +197,30 @@ class _Frames:
         return replace(self, **some)  # type: ignore[type-var] # a dataclass
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Take(_Frames):
-    """A recording of one person, as the sensor delivered it; arrays are read-only."""
+    """A recording of one person, as the sensor delivered it; arrays are read-only.
+
+    Attributes:
+        time: Time stamps [s], shape (T,), never decreasing; repeats and gaps are
+            normal.
+        positions: Joint positions [m], sensor frame, y up, shape (T, J, 3); NaN if not
+            tracked.
+        state: Tracking state per joint (State), shape (T, J).
+        skeleton: The joints, in the order of the arrays.
+        source: Origin of the take, for messages.
+        by_kinect: True if the joints have the constant offsets of a Kinect's tracker.
+        face: Unit vectors to where the face looks, sensor frame, shape (T, 3), NaN
+            where unknown; None if the sensor does not see faces.
+    """
 
     time: Array
-    """Time stamps [s], shape (T,), never decreasing; repeats and gaps are normal."""
     positions: Array
-    """Joint positions [m], sensor frame, y up, shape (T, J, 3); NaN if not tracked."""
-    state: Codes  # tracking state per joint (State), shape (T, J)
-    skeleton: Skeleton  # the joints, in the order of the arrays
-    source: str = "take"  # origin of the take, for messages
+    state: Codes
+    skeleton: Skeleton
+    source: str = "take"
     by_kinect: bool = True
-    """True if the joints have the constant offsets of a Kinect's tracker."""
     face: Array | None = None
-    """Unit vectors to where the face looks, sensor frame, shape (T, 3), NaN where
-    unknown; None if the sensor does not see faces."""
 
     def __post_init__(self) -> None:
         _check(self)
@@ -237,21 +250,28 @@ class Take(_Frames):
         return replace(self, state=state)  # which has no position there either
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Motion(_Frames):
     """Motion of a body; arrays are read-only.
 
     World frame: right-handed, y up, floor at y = 0, meters, seconds. Joint positions
     follow from root and rotations: ``p[j] = p[parent] + R[j] @ body.rest_offsets[j]``.
+
+    Attributes:
+        time: Time stamps [s], never decreasing, shape (T,).
+        body: Skeleton, segment lengths and rest pose.
+        root: Position of the root joint [m], world frame, shape (T, 3).
+        rotations: World rotation of the segment that ends at each joint, unit
+            quaternions wxyz, shape (T, J, 4), identity in the rest pose; the root's row
+            is the pelvis.
+        source: Origin of the motion, for messages.
     """
 
-    time: Array  # time stamps [s], never decreasing, shape (T,)
-    body: Body  # skeleton, segment lengths and rest pose
-    root: Array  # position of the root joint [m], world frame, shape (T, 3)
+    time: Array
+    body: Body
+    root: Array
     rotations: Array
-    """World rotation of the segment that ends at each joint, unit quaternions wxyz,
-    shape (T, J, 4), identity in the rest pose; the root's row is the pelvis."""
-    source: str = "motion"  # origin of the motion, for messages
+    source: str = "motion"
 
     def __post_init__(self) -> None:
         check_kind(self.body, Body, "the body of a motion")
@@ -275,38 +295,49 @@ class Motion(_Frames):
         return read_only(positions_from_rotations(self.rotations, self.root, self.body))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Clip(Motion):
-    """A cleaned motion with the provenance of each joint; its times are the take's."""
+    """A cleaned motion with the provenance of each joint; its times are the take's.
+
+    Attributes, besides those of ``Motion``:
+        state: Recorded tracking state (State), shape (T, J), even where sides were
+            swapped.
+        reliability: Reliability in [0, 1], NaN where unknown, shape (T, J).
+        deciding_term: Reliability term that decided (Term), shape (T, J).
+        origin: Source of each joint's position (Origin), shape (T, J).
+        moved_by_correction: Distance from the measurement, with swapped sides restored,
+            to the corrected one [m], NaN where nothing was measured, shape (T, J).
+        moved_by_physics: Distance from the corrected to the final joint [m], shape
+            (T, J).
+        uncertainty: Expected error of each joint relative to the hips: standard
+            deviation of each coordinate [m], NaN where unknown, shape (T, J).
+        contacts: Contacts of heels and toes with the floor (CONTACTS), shape (T, 4).
+        external_force: Force on the body that comes from neither muscles nor floor
+            [body weights], shape (T,); NaN where nothing was simulated.
+        props: Objects around the character in the simulation.
+        tilt: Angle [rad] about x, from y to z, by which the take was rotated about the
+            sensor: ``y cos(tilt) - z sin(tilt)`` is up. Positive if the floor rises
+            away from the sensor, which then looks down; NaN if the clip's file does not
+            store it.
+        floor: Height [m] of the floor in the leveled take, now subtracted; NaN as
+            ``tilt``.
+        roll: Angle [rad] about z, from x to y, by which the take was rotated before
+            that: half a turn if the sensor was upside down.
+    """
 
     state: Codes
-    """Recorded tracking state (State), shape (T, J), even where sides were swapped."""
-    reliability: Array  # reliability in [0, 1], NaN where unknown, shape (T, J)
-    deciding_term: Codes  # reliability term that decided (Term), shape (T, J)
-    origin: Codes  # source of each joint's position (Origin), shape (T, J)
+    reliability: Array
+    deciding_term: Codes
+    origin: Codes
     moved_by_correction: Array
-    """Distance from the measurement, with swapped sides restored, to the corrected one
-    [m], NaN where nothing was measured, shape (T, J)."""
     moved_by_physics: Array
-    """Distance from the corrected to the final joint [m], shape (T, J)."""
     uncertainty: Array
-    """Expected error of each joint relative to the hips: standard deviation of each
-    coordinate [m], NaN where unknown, shape (T, J)."""
     contacts: Flags
-    """Contacts of heels and toes with the floor (CONTACTS), shape (T, 4)."""
     external_force: Array
-    """Force on the body that comes from neither muscles nor floor [body weights], shape
-    (T,); NaN where nothing was simulated."""
-    props: tuple[Prop, ...] = ()  # objects around the character in the simulation
+    props: tuple[Prop, ...] = ()
     tilt: float = float("nan")
-    """Angle [rad] about x, from y to z, by which the take was rotated about the sensor:
-    ``y cos(tilt) - z sin(tilt)`` is up. Positive if the floor rises away from the
-    sensor, which then looks down; NaN if the clip's file does not store it."""
     floor: float = float("nan")
-    """Height [m] of the floor in the leveled take, now subtracted; NaN as ``tilt``."""
     roll: float = 0.0
-    """Angle [rad] about z, from x to y, by which the take was rotated before that: half
-    a turn if the sensor was upside down."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,14 +17,23 @@ from .upright import Turn
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """The character after a frame."""
+    """The character after a frame.
 
-    positions: Array  # joint positions [m], y up, floor at 0, shape (J, 3)
-    rotations: Array  # world segment rotations, wxyz, shape (J, 4)
-    stands: Flags  # whether each foot (left, right) is planted, shape (2,)
-    external_force: float  # force on the body beyond muscles and floor [body weights]
-    reset: bool  # whether it was reset onto its target; see ``PhysicsTrace.reset``
-    impossible: bool = False  # whether the body's size or place made it be ignored
+    Attributes:
+        positions: Joint positions [m], y up, floor at 0, shape (J, 3).
+        rotations: World segment rotations, wxyz, shape (J, 4).
+        stands: Whether each foot (left, right) is planted, shape (2,).
+        external_force: Force on the body beyond muscles and floor [body weights].
+        reset: Whether it was reset onto its target; see ``PhysicsTrace.reset``.
+        impossible: Whether the body's size or place made the frame be ignored.
+    """
+
+    positions: Array
+    rotations: Array
+    stands: Flags
+    external_force: float
+    reset: bool
+    impossible: bool = False
 
 
 class Avatar:
@@ -89,7 +98,11 @@ class Avatar:
         return self.turn.notes()
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
-        """Push a part of the body for a time; see ``PulledCharacter.push``."""
+        """Push the part of the body that ends at a joint for the next seconds.
+
+        The force [N], shape (3,), y up as in poses, acts on the part's center of mass.
+        Raises InputError if there is no such joint, or force or time is not valid.
+        """
         self.physics.push(part, force, seconds)
 
     def let_go(self) -> None:

@@ -24,27 +24,37 @@ from .uncertainty import uncertainty
 _OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CleanResult:
-    """A cleaned clip and a record of how it came about."""
+    """A cleaned clip and a record of how it came about.
+
+    Attributes:
+        clip: The cleaned motion.
+        target: Joint positions [m] before physics, in the clip's frame, shape
+            (T, J, 3).
+        stages: Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``.
+            Raw is the take as recorded, even where swapped sides were put right.
+        coverage: How well the method knows each frame's posture, in [0, 1] or NaN,
+            shape (T,).
+        trace: What the simulation did at each distinct time stamp; None without
+            physics.
+        failures: Tracker failures and limbs that moved far; frames count distinct time
+            stamps.
+        notes: What the user should know about this take.
+        clips: The clips to write: ``clip`` itself, or its parts with ``gaps="split"``.
+    """
 
     clip: Clip
-    """The cleaned motion."""
     target: Array
-    """Joint positions [m] before physics, in the clip's frame, shape (T, J, 3)."""
     stages: dict[str, Quality]
-    """Quality of ``raw``, ``corrected`` and, unless switched off, ``physics``. Raw is
-    the take as recorded, even where swapped sides were put right."""
     coverage: Array
-    """How well the method knows each frame's posture, in [0, 1] or NaN, shape (T,)."""
     trace: PhysicsTrace | None
-    """What the simulation did at each distinct time stamp; None without physics."""
     failures: tuple[Failure, ...]
-    """Tracker failures and limbs that moved far; frames count distinct time stamps."""
     notes: tuple[str, ...]
-    """What the user should know about this take."""
     clips: tuple[Clip, ...]
-    """The clips to write: ``clip`` itself, or its parts with ``gaps="split"``."""
+
+    def __repr__(self) -> str:
+        return f"<CleanResult with {self.clip!r}>"
 
     @property
     def damage(self) -> tuple[str, ...]:

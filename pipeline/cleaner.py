@@ -294,5 +294,11 @@ def _passed(
 def clean(
     take: Take, config: CleanConfig | None = None, *, progress: Progress = silent
 ) -> CleanResult:
-    """Clean one take; a ``Cleaner`` loads its methods once for many takes."""
+    """Clean one take, by default with the settings of ``CleanConfig()``.
+
+    Fields of the config are options that ``kinefilter clean --help`` explains.
+    ``progress`` wraps the frame loops. Raises an InputError if there is nothing to
+    clean, or the settings do not fit the take. A ``Cleaner`` loads its methods once for
+    many takes.
+    """
     return Cleaner(config).clean(take, progress=progress)

@@ -10,7 +10,6 @@ from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
 from typing import Annotated, Any, Union
-from urllib.parse import unquote
 
 import tyro
 from tyro.conf import subcommand
@@ -18,6 +17,7 @@ from tyro.conf import subcommand
 from kinefilter.characters import InputError
 
 from .commands.terminal import ended_gently, err, out
+from .formats.files import local_path
 from .formats.plain import printable
 from .workers import one_thread, set_variables
 
@@ -82,6 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as ended:  # its arguments are notes for the user
         err.print("; ".join(["kinefilter: interrupted", *map(str, ended.args)]))
         return _INTERRUPTED
+    except PermissionError as error:
+        where = error.filename or error
+        err.print(f"kinefilter: {where}: cannot be accessed; check permissions")
+        return 2
     except OSError as error:
         windows = sys.platform == "win32" and error.errno == errno.EINVAL
         if not (windows or isinstance(error, BrokenPipeError)):
@@ -98,7 +102,7 @@ def _run(words: Sequence[str]) -> int:
     if words and words[0] not in COMMANDS:  # 'lab rate' means 'rate'
         group = _GROUPS.get(words[0], "").split(", ")
         words = words[1:] if words[1:2] and words[1] in group else words
-    words = [_as_path(word) for word in words]
+    words = [*map(local_path, words)]
     if "" in words:  # as a path it would mean the current folder
         raise InputError("an argument is empty; name a file, or set the variable")
     try:
@@ -109,14 +113,6 @@ def _run(words: Sequence[str]) -> int:
             return int(command.run())
     finally:
         sys.stdout.flush()
-
-
-def _as_path(word: str) -> str:
-    """Return an argument; if it is a URL of a local file, its path."""
-    if not word.startswith("file:///"):
-        return word
-    path = unquote(word.removeprefix("file://"))
-    return path[1:] if path[2:3] == ":" else path  # a drive
 
 
 def _read(words: Sequence[str]) -> Any:

@@ -40,16 +40,24 @@ up: the kept postures are in memory, and each later one is compared with all of 
 
 @dataclass(frozen=True, eq=False)
 class PostureDatabase:
-    """Normalized postures on the standard body, thinned out by the threshold rule."""
+    """Normalized postures on the standard body, thinned out by the threshold rule.
+
+    Attributes:
+        positions: Joint positions [m], root at the origin, facing +z, shape (N, J, 3).
+        rotations: Segment rotations in the same frame, wxyz, shape (N, J, 4).
+        labels: Name of the motion of each posture, shape (N,).
+        skeleton: The joints, in the order of the arrays.
+        source: Where the database came from, for messages.
+        recorded: True if the postures, and thus their variation, are those of recorded
+            people.
+    """
 
     positions: Singles
-    """Joint positions [m], root at the origin, facing +z, shape (N, J, 3)."""
-    rotations: Singles  # segment rotations in the same frame, wxyz, shape (N, J, 4)
-    labels: NDArray[np.str_]  # name of the motion of each posture, shape (N,)
-    skeleton: Skeleton  # the joints, in the order of the arrays
-    source: str = "database"  # where the database came from, for messages
+    rotations: Singles
+    labels: NDArray[np.str_]
+    skeleton: Skeleton
+    source: str = "database"
     recorded: bool = False
-    """True if the postures, and thus their variation, are those of recorded people."""
 
     def __post_init__(self) -> None:
         check_skeleton(self.skeleton, self.source)

@@ -1,6 +1,7 @@
 """Pairs of Kinect and mocap: a take and the ground truth of its frames."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinefilter.characters import KINECT_V1, SKELETONS, InputError, State, Take
+from kinefilter.characters import (
+    KINECT_V1,
+    SKELETONS,
+    InputError,
+    Skeleton,
+    State,
+    Take,
+)
 from kinefilter.characters.arrays import Array, Lengths, check_arrays, check_kind
 
 from .formats.files import check_file
@@ -38,6 +46,18 @@ class PairedTake:
         check_arrays(self, self.take.source, shapes)
         if np.isinf(self.truth).any():
             raise InputError(f"{self.take.source}: truth is inf; use NaN if missing")
+
+
+def one_skeleton(pairs: Sequence[PairedTake]) -> Skeleton:
+    """Return the skeleton of pairs; raises InputError if they have different ones."""
+    first = pairs[0].take
+    for take in (pair.take for pair in pairs):
+        if take.skeleton != first.skeleton:
+            raise InputError(
+                f"{take.source}: the skeleton is {take.skeleton.name}, but that of "
+                f"{first.source} is {first.skeleton.name}; give pairs of one skeleton"
+            )
+    return first.skeleton
 
 
 def read_pairs(path: str | os.PathLike[str]) -> list[PairedTake]:

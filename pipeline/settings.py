@@ -93,6 +93,15 @@ class Settings:
             )
         return list(range(1, len(first.takes) + 1))
 
+    def left_out(self, recordings: Sequence[Recording]) -> Iterator[str]:
+        """Yield a note if one of several people was chosen by default."""
+        first, count = recordings[0], len(recordings[0].takes)
+        if count > 1 and self.body is None and len(recordings) == 1:
+            yield (
+                f"cleaned body {first.main + 1} of {count}, the one seen in most "
+                f"frames; choose another with --body 1 to {count}, or --body all"
+            )
+
     def clean(
         self,
         recordings: Sequence[Recording],
@@ -201,7 +210,7 @@ def parse_settings(text: str, name: str, folder: Path | None) -> SettingsFile:
 
     Paths in it are relative to the folder; without one, they must be absolute.
     """
-    expected = "write lines such as cutoff = 4.0"
+    expected = "write lines such as cutoff = 4.0 or method = 'none'"
     return settings_in(parse_toml(text, name, expected), name, folder)
 
 

@@ -229,6 +229,8 @@ def test_all_people_of_a_take_get_a_clip_each(tmp_path: Path) -> None:
     assert [row["body"] for row in table_of(tmp_path / "c")] == ["1", "2"]
     again = clean_files([str(two)], str(tmp_path / "c"), settings, suffix=".bvh")
     assert not again.rows
+    one_of_them = clean_files([str(two)], str(tmp_path / "d"), QUICK).rows[0]
+    assert "cleaned body 1 of 2" in "; ".join(one_of_them.clips[0].notes)
 
 
 def test_exit_codes_say_what_became_of_the_batch(
@@ -367,12 +369,12 @@ def test_an_interrupted_run_writes_its_table_and_goes_on(
 def test_a_store_by_url_gives_the_same_clips_as_its_folder(
     takes: Path, tmp_path: Path
 ) -> None:
-    """``file://`` is one that other processes reach too."""
+    """``local://`` is one that other processes reach too."""
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
     clean_folder(takes, tmp_path / "here")
-    url = f"file://{tmp_path}/there"
+    url = f"local://{tmp_path}/there"
     (takes / "monday" / "kinefilter.toml").write_text("cutoff = 6.0\n")
-    outcome = clean_files([f"file://{takes}"], url, QUICK, suffix=".bvh")
+    outcome = clean_files([f"local://{takes}"], url, QUICK, suffix=".bvh")
     assert not outcome.failed
     assert len(outcome.rows) == 6
     names = {"a.bvh", "monday/b.bvh", "monday/late/c.bvh"}
@@ -382,7 +384,7 @@ def test_a_store_by_url_gives_the_same_clips_as_its_folder(
     left = {p.name for p in (tmp_path / "there").rglob("*") if p.is_file()}
     (part,) = left - {Path(name).name for name in names} - {"manifest.csv"}
     assert part.endswith(".jsonl")
-    again = clean_files([f"file://{takes}"], url, QUICK, suffix=".bvh")
+    again = clean_files([f"local://{takes}"], url, QUICK, suffix=".bvh")
     assert not again.rows
     assert len(again.kept) == 6
 

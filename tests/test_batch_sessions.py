@@ -345,8 +345,8 @@ def test_a_store_by_url_gives_the_same_clips(both: Path, tmp_path: Path) -> None
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
     clean_folder(both, tmp_path / "here", TOGETHER)
     (both / "kinefilter.toml").write_text('sessions = "{name}_{sensor}.csv*"\n')
-    there = f"file://{tmp_path}/there"
-    outcome = clean_files([f"file://{both}"], there, QUICK, suffix=".bvh")
+    there = f"local://{tmp_path}/there"
+    outcome = clean_files([f"local://{both}"], there, QUICK, suffix=".bvh")
     assert _made(outcome)["nod"].status == "done"
     for name in ("nod.bvh", "alone.bvh"):
         found = (tmp_path / "there" / name).read_bytes()

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from batch_folders import QUICK
 from real_data import TAKES, recorded
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.batch.plan import clip_names, find_sources
+from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.formats.takes import claims_take
@@ -39,11 +44,36 @@ def test_files_of_several_folders_are_kept_apart(takes: Path, tmp_path: Path) ->
 
 def test_a_url_of_a_local_folder_is_its_path(takes: Path, tmp_path: Path) -> None:
     out = tmp_path / "my clips"
-    quick = ["--no-physics", "--method", "none", "--jobs", "1"]
-    for place in (out.as_uri(), str(out)):  # the second finds nothing to do
-        assert main(["batch", takes.as_uri(), "-o", place, *quick]) == 0
+    words = ["--no-physics", "--method", "none", "--jobs", "1"]
+    places = (out.as_uri(), str(out), out.as_uri().replace("///", "//localhost/"))
+    for place in places:  # the first time only, there is something to do
+        assert main(["batch", takes.as_uri(), f"--out={place}", *words]) == 0
         assert (out / "manifest.jsonl").exists()
+    assert len(clean_files([takes.as_uri()], places[0], QUICK).kept) == 6
     assert len((out / "manifest.jsonl").read_text(encoding="utf-8").splitlines()) == 6
+
+
+def test_clips_are_not_written_into_memory(takes: Path) -> None:
+    with pytest.raises(InputError, match="memory://clips: clips there would be lost"):
+        clean_files([str(takes)], "memory://clips")
+
+
+def test_a_folder_without_rights_fails_alone(
+    takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scan, locked = os.scandir, takes / "monday"
+
+    def scandir(path: str) -> Iterator[os.DirEntry[str]]:
+        if Path(path) == locked:
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    rows = clean_files([str(takes)], str(tmp_path / "clips"), QUICK, jobs=1).rows
+    assert {r.take for r in rows if r.status == "failed"} == {"monday/*"}
+    assert "a.csv" in {r.take for r in rows if r.status == "done"}
+    with pytest.raises(InputError, match=r"monday: cannot be searched \(Permission"):
+        find_sources([str(locked)], str(tmp_path))
 
 
 def test_an_empty_name_is_not_the_current_folder(

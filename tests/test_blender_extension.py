@@ -78,10 +78,12 @@ def test_the_same_version_is_the_same_bytes(tmp_path: Path) -> None:
 def test_other_names_and_folders_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for path in (tmp_path / "kinefilter.py", tmp_path / "absent" / "kinefilter.zip"):
+    file = tmp_path / "file"
+    file.touch()
+    for path in (tmp_path / "kinefilter.py", file / "kinefilter.zip"):
         assert main(["blender", "-o", str(path)]) == 2
         assert str(path) in capsys.readouterr().err
-    assert [*tmp_path.iterdir()] == []
+    assert [*tmp_path.iterdir()] == [file]
 
 
 @in_blender

@@ -205,7 +205,7 @@ def test_an_impossible_cutoff_is_refused(
         ("clip.usda", ["--fps", "1e9"], "--fps 1e+09"),
         ("clip.csv", ["--up", "z"], "--up"),
         ("clip.bvh", ["--character", "sam.usda"], "--character"),
-        ("clip.usda", ["--character", "none/sam.usda"], "does not exist"),
+        ("clip.usda", ["--character", f"{SAMPLE}/sam.usda"], "is a file"),
         ("clip.usda", ["--character", "clip.usda"], "would overwrite"),
     ],
 )

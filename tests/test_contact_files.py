@@ -203,9 +203,9 @@ def test_what_is_no_clip_and_no_text_is_refused(tmp_path: Path) -> None:
 def test_an_older_table_is_left_if_the_new_one_cannot_be_written(
     make_clip: MakeClip, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match="does not exist"):
-        write_contacts(make_clip(3), tmp_path / "nowhere" / "c.csv")
-    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file"):
+        write_contacts(make_clip(3), tmp_path / "file" / "c.csv")
 
 
 # USD
@@ -342,7 +342,7 @@ def test_wrong_contacts_end_with_code_2_and_nothing_is_written(
     assert list(tmp_path.iterdir()) == [wrong]
 
 
-def test_contacts_are_not_saved_over_what_is_needed_or_nowhere(
+def test_contacts_are_not_saved_over_what_is_needed_or_in_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = table(tmp_path / "mine.csv", "0,1,1,1,1")
@@ -352,7 +352,7 @@ def test_contacts_are_not_saved_over_what_is_needed_or_nowhere(
         ["--contacts", str(mine), "--save-contacts", str(mine)],
         ["--save-contacts", out],
         ["--save-contacts", str(SAMPLE)],
-        ["--save-contacts", str(tmp_path / "nowhere" / "c.csv")],
+        ["--save-contacts", str(mine / "c.csv")],
     ):
         assert main([*arguments, *options]) == 2
         assert capsys.readouterr().err.startswith("kinefilter: ")

@@ -32,8 +32,10 @@ from kinefilter.characters import (
     State,
 )
 from kinefilter.pipeline import formats
+from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     atomic_path,
+    check_folder,
     check_writable,
     npz,
     read_clip,
@@ -266,7 +268,7 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
     for name, words in {
         "clip.abc": r"'\.abc'.*\.usda, .*, \.glb, \.vrma, \.fbx, \.bvh, \.csv, \.npz",
         "clip": "unknown extension ''",
-        "none/clip.csv": "does not exist",
+        "file/none/clip.csv": "file is a file; choose a folder",
         "folder.csv": "is a folder",
         "file/clip.csv": "file is a file; choose a folder",
     }.items():
@@ -275,6 +277,26 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
         with pytest.raises(InputError, match=words):
             write_clip(make_clip(2), tmp_path / name)
     assert names_in(tmp_path) == ["file", "folder.csv"]
+    write_clip(make_clip(2), tmp_path / "new" / "one" / "clip.bvh")
+    assert names_in(tmp_path / "new" / "one") == ["clip.bvh"]
+
+
+def test_a_url_is_not_a_folder_to_create() -> None:
+    with pytest.raises(InputError, match="only batch takes URLs"):
+        check_folder("s3://bucket/clip.bvh")
+
+
+def test_a_folder_without_rights_is_called_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def forbidden(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "is_dir", forbidden)
+    with pytest.raises(InputError, match=r"^private/clip.bvh: .*Permission denied"):
+        check_folder("private/clip.bvh")
+    assert main(["view", "private/clip.npz"]) == 2
+    assert "kinefilter: private/clip.npz: cannot" in capsys.readouterr().err
 
 
 def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> None:

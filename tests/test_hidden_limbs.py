@@ -44,6 +44,24 @@ def pair() -> PairedTake:
     return PairedTake(take, made.truth[few], "s01", "m01_s01_e01")
 
 
+@pytest.fixture
+def pairs_file(pair: PairedTake, tmp_path: Path) -> Path:
+    """Write pairs of one clip."""
+    file = tmp_path / "pairs.npz"
+    np.savez(
+        file,
+        joints=np.array(KINECT_V1.joints),
+        fps=30.0,
+        subject="s01",
+        kinect=pair.take.positions,
+        mocap=pair.truth,
+        clip=np.array(["a clip"]),
+        start=[0],
+        stop=[80],
+    )
+    return file
+
+
 def _turning(pair: PairedTake) -> tuple[np.ndarray, HeadingFrame]:
     """Return a person whose limbs stay, walking in a curve, and where they are."""
     still = pair.truth[0] - pair.truth[0, KINECT_V1.root]
@@ -237,26 +255,29 @@ def test_every_third_repetition_is_hidden_and_the_others_are_seen(
     ],
 )
 def test_what_cannot_be_hidden_is_refused(
-    pair: PairedTake,
-    tmp_path: Path,
+    pairs_file: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
     message: str,
 ) -> None:
-    file = tmp_path / "pairs.npz"
-    np.savez(
-        file,
-        joints=np.array(KINECT_V1.joints),
-        fps=30.0,
-        subject="s01",
-        kinect=pair.take.positions,
-        mocap=pair.truth,
-        clip=np.array(["a clip"]),
-        start=[0],
-        stop=[80],
-    )
-    assert main(["evaluate", str(file), *arguments]) == 2
+    assert main(["evaluate", str(pairs_file), *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_limbs_and_gaps_may_be_listed_with_commas_and_names_are_whole(
+    pairs_file: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ["--hide", "left-arm,right-hand", "--gap", "0.5,30%", "--by", "gap"]
+    assert main(["evaluate", str(pairs_file), *words, "--methods", "none"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "hidden for 0.5 s, 30%" in lines[0]
+    table = [line for line in lines if "│" in line]
+    rows = {(*map(str.strip, line.split("│")[1:4]),) for line in table}
+    assert {("left-arm", "0.5", "spline"), ("right-hand", "30%", "none")} <= rows
+    assert max(map(len, table)) <= 80
 
 
 def test_hiding_needs_pairs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,8 +49,8 @@ BARE = {  # what makes every process do without what Windows does not have
 }
 # Runs the batch of the command line with workers that die over some takes.
 DYING = (
-    "import sys, dying; from kinefilter.pipeline.batch import crew; "
-    "from kinefilter.pipeline import cli; crew.clean_file = dying.clean_or_die; "
+    "import sys, dying; from kinefilter.pipeline.batch import run; "
+    "from kinefilter.pipeline import cli; run.clean_file = dying.clean_or_die; "
     "sys.exit(cli.main())"
 )
 # Holds an output folder until it is ended.

@@ -302,7 +302,7 @@ def test_the_frame_rate_of_a_take_without_time_stamps_can_be_given(
         assert "--take-fps" in capsys.readouterr().err
     text = freemocap_csv(scripted(), start="2024-01-01 12:00:00.250")
     stamped = write_text(tmp_path / "a.csv", text)
-    with pytest.raises(InputError, match=r"a\.csv: has time stamps"):
+    with pytest.raises(InputError, match=r"a\.csv: has time stamps; give no"):
         read_take(stamped, fps=60.0)
 
 

@@ -42,7 +42,7 @@ def test_pages_of_other_sites_are_refused_and_those_of_this_machine_are_not() ->
     access = AccessConfig(origin=("https://studio.example",))
 
     async def session() -> None:
-        async with running(config(source=WS), access) as (_, places):
+        async with running(config(source=WS), access) as (run, places):
             for address in places:
                 for origin in ("https://evil.example", "null", "http://localhost.evil"):
                     with pytest.raises(InvalidStatus, match="403"):
@@ -50,6 +50,7 @@ def test_pages_of_other_sites_are_refused_and_those_of_this_machine_are_not() ->
                 for origin in ("http://localhost:8000", "https://studio.example"):
                     stream = await connect(str(address), origin=origin)  # type: ignore[arg-type]
                     await stream.close()
+            assert run.tally.events[Event.REFUSED] == 6
 
     do(session())
 

@@ -110,7 +110,7 @@ def test_help_and_import_load_neither_sockets_nor_physics() -> None:
     [
         ["live", "--in", "udp://0.0.0.0:0", "--out", "-"],
         ["live", "--in", "-", "--out", "udp://127.0.0.1:1"],
-        ["live", "--in", "-", "--out", "-", "--record", "none/take.csv"],
+        ["live", "--in", "-", "--out", "-", "--record", "take.bvh"],
         ["live", "--in", "-", "--out", "-", "--token-file", "absent"],
         ["live", "--in", "-", "--out", "-", "--floor", "nan"],
         ["replay", "absent.csv", "--out", "-"],

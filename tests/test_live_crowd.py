@@ -268,6 +268,7 @@ def test_the_end_waits_for_what_is_being_write(
 
 
 def test_a_recording_goes_where_it_can(tmp_path: Path) -> None:
-    for name, words in (("take.bvh", "ends in .csv"), ("none/take.csv", "exist")):
+    (tmp_path / "file").touch()
+    for name, words in (("take.bvh", "ends in .csv"), ("file/take.csv", "is a file")):
         with pytest.raises(InputError, match=words):
             Recorder(tmp_path / name, KINECT_V1, Tally())

@@ -282,6 +282,7 @@ def test_what_only_several_sensors_have_needs_several(
         ([paths[0], "--calibration", "session.json"], "several sensors"),
         ([*paths, "--body", "all"], "--body all works with one sensor only"),
         ([], "no take given"),
+        ([str(tmp_path)], "is a folder; use 'kinefilter batch' for it"),
     ):
         assert main(["clean", *words, *out]) == 2
         assert said in capsys.readouterr().err.replace("\n", " ")

@@ -96,7 +96,7 @@ def test_a_part_is_cut_of_the_whole_cleaned_take(tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--begin", "30"], "--begin 30 is after that"),
-        (["--end", "12.5"], "298 frames end at 10 s; --end 12.5 is after"),
+        (["--begin", "11", "--end", "12"], "end at 10 s; --begin 11 is after"),
         (["--begin", "3", "--end", "2"], "--begin 3 --end 2: expected seconds"),
         (["--begin", "-1"], "--begin -1: expected seconds"),
         (["--end", "0"], "--end 0: expected seconds"),
@@ -114,6 +114,12 @@ def test_spans_outside_of_the_take_are_refused_before_it_is_cleaned(
     assert main(["clean", str(SAMPLE), "-o", str(out), *options]) == 2
     assert words in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_part_ends_with_the_clip_at_the_latest(make_clip: MakeClip) -> None:
+    clip = make_clip(60)
+    part = shaped(clip, Export(begin=0.5, end=100.0))
+    np.testing.assert_array_equal(part.time, clip.time[15:])
 
 
 def test_the_same_part_at_another_rate_begins_where_it_does(

@@ -12,11 +12,14 @@ import tarfile
 import tomllib
 import zipfile
 from collections.abc import Collection, Iterator
+from dataclasses import fields, is_dataclass
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+import kinefilter
 
 ROOT = Path(__file__).parents[1]
 FLOORS = ("characters", "retarget", "scenes", "pipeline")  # imports go down
@@ -134,6 +137,17 @@ def test_all_names_are_there(package: str) -> None:
     folders = {file.name for file in pkgutil.iter_modules(module.__path__)}
     for name in folders & set(names):
         assert isinstance(getattr(module, name), ModuleType), f"{name} hides its file"
+
+
+def test_help_tells_what_every_field_is() -> None:
+    kinds = [getattr(kinefilter, name) for name in kinefilter.__all__]
+    for kind in filter(is_dataclass, kinds):
+        if f"``{kind.__name__}``" not in kinefilter.__doc__:  # or a command's help does
+            told = "".join(base.__doc__ or "" for base in kind.__mro__)
+            names = [f.name for f in fields(kind) if f.name[0] != "_"]
+            assert [name for name in names if f"    {name}: " not in told] == []
+    take = kinefilter.read_take(ROOT / "scenes" / "takes" / "wave_punch_bend.csv")
+    assert repr(take).endswith("wave_punch_bend.csv': 298 frames of kinect_v1>")
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))

@@ -259,7 +259,7 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
     [
         (["-o", "clip.avi"], "unknown extension '.avi'"),
         (["-o", "clip.png"], "%05d"),
-        (["-o", "none/clip.mp4"], "does not exist"),
+        (["-o", "clip.npz/clip.mp4"], "is a file"),
         (["-o", "clip.npz"], "would overwrite"),
         (["-o", "a.mp4", "--size", "97x54"], "even"),
         (["-o", "a.mp4", "--size", "wide"], "such as 1280x720"),

@@ -350,7 +350,7 @@ def test_what_does_not_belong_together_is_refused(
         (3, "clip.npz", ""),
         (3, "none.csv", "no such file"),
         (5, "report.txt", "must end in .html"),
-        (5, "none/report.html", "folder"),
+        (5, "clip.npz/report.html", "folder"),
     ],
 )
 def test_files_that_do_not_fit_are_refused(

@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    for out in ("file", "absent/studies"):
+    for out in ("file", "file/studies"):
         assert main(["reproduce", "reliability", "-o", str(tmp_path / out)]) == 2
         assert out.partition("/")[0] in capsys.readouterr().err
 

@@ -21,6 +21,8 @@ from websockets.sync.client import connect
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import InputError
+from kinefilter.pipeline.batch.manifest import read_rows
+from kinefilter.pipeline.batch.outcome_tables import worst_first
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands.view import View
 from kinefilter.pipeline.formats import write_clip
@@ -144,7 +146,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([take, "--take", take], "requires a clip"),
         ([take, "--edits", take], "would overwrite"),
         ([clip, "--edits", clip], "would overwrite"),
-        ([clip, "--edits", str(tmp_path / "none" / "e.toml")], "not exist"),
+        ([clip, "--edits", str(contacts / "e.toml")], "is a file"),
         ([take, "--contacts", str(contacts), "--edits", str(contacts)], "overwrite"),
         ([str(copied)], "malformed.edits.toml: unknown 'oddly'"),
         ([clip, "--bind", "192.0.2.1"], "not an address of this machine"),
@@ -168,12 +170,14 @@ def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
         write_short_sample(takes).rename(takes / f"{name}.csv")
     quick = ["--method", "none", "--no-physics", "--to", "npz"]
     assert main(["batch", str(takes), "-o", str(clips), "--jobs", "1", *quick]) == 0
-    (clips / "two.npz").unlink()
+    listed = worst_first(read_rows(clips))
+    worst, _, last = (Path(clip.output).stem for _, clip in listed)
+    (clips / f"{worst}.npz").unlink()
     opened: list[Viewer] = []
 
     def run(viewer: Viewer) -> int | None:
         opened.append(viewer)
-        wanted = {1: "two", 2: "three"}.get(len(opened))
+        wanted = {1: worst, 2: last}.get(len(opened))
         if wanted is None:
             return None
         (name,) = (x for x in viewer._listed if x.startswith(f"{wanted}.csv (force"))
@@ -185,18 +189,19 @@ def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
     capsys.readouterr()
     assert main(["view", str(clips), "--take", str(takes)]) == 0
     printed = capsys.readouterr()
-    assert "two.npz" in printed.err
+    assert f"{worst}.npz" in printed.err
     assert printed.out.count("shows") == 1
     first, again, other = opened
     assert len(first._listed) == 3
     assert again._clip.source == first._clip.source  # what could not be opened
-    assert other._file.path == takes / "three.edits.toml"
+    assert other._file.path == takes / f"{last}.edits.toml"
     assert "raw" in other._scene._layers
     assert sorted(takes.iterdir()) == sorted(
         takes / f"{name}.csv" for name in ("one", "two", "three")
     )
     for arguments, words in (
         ([str(clips), "--method", "none"], "apply to a folder"),
+        ([str(clips), "--take", str(clips)], "has no take of these clips"),
         ([str(takes)], "no manifest.jsonl"),
     ):
         assert words in _refused(arguments, capsys), arguments

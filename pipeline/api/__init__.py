@@ -1,6 +1,11 @@
 """kinefilter turns noisy Kinect skeleton takes into clips that animators ship.
 
-This module offers what most users need, and imports it on first use.
+This module offers what most users need, and imports it on first use. Fields of
+``CleanConfig`` and ``Export`` are options that ``kinefilter clean --help`` explains.
+
+    take = kinefilter.read_take("take.csv")
+    result = kinefilter.clean(take, kinefilter.CleanConfig(cutoff=4.0))
+    kinefilter.write_clip(result.clip, "clip.glb", kinefilter.Export(fps=24.0))
 """
 
 from importlib import import_module
@@ -17,6 +22,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.formats.takes import read_take, read_takes
     from kinefilter.pipeline.lab.evaluate import evaluate
     from kinefilter.pipeline.merge import clean_session, merge
+    from kinefilter.pipeline.pairs import read_pairs
 
 _PLACES = {
     "characters": ("Clip", "InputError", "Motion", "Take"),
@@ -29,6 +35,7 @@ _PLACES = {
     "pipeline.formats.takes": ("read_take", "read_takes"),
     "pipeline.lab.evaluate": ("evaluate",),
     "pipeline.merge": ("clean_session", "merge"),
+    "pipeline.pairs": ("read_pairs",),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
@@ -50,6 +57,7 @@ __all__ = [
     "evaluate",
     "merge",
     "read_clip",
+    "read_pairs",
     "read_take",
     "read_takes",
     "write_clip",

@@ -88,7 +88,7 @@ def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
     return [
         Source(prefix + file.name, store, f"{root}/{file.name}", file, named=False)
         for file in store.files()
-        if file.name.lower().removesuffix(".gz").endswith(_TAKES)
+        if file.name.lower().removesuffix(".gz").endswith((*_TAKES, "/*"))
         and not file.name.startswith(written)
     ]
 

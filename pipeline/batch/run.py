@@ -18,6 +18,7 @@ from typing import Any
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
+from kinefilter.pipeline.formats.files import local_path
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import ProcessDiedError, Workers, cores, one_thread
 
@@ -226,6 +227,9 @@ def clean_files(
     Raises InputError if the request is impossible or the manifest cannot be written. A
     faulty take raises nothing; its row in the outcome has the error.
     """
+    inputs, out = [*map(local_path, inputs)], local_path(out)
+    if out.startswith("memory:"):
+        raise InputError(f"{out}: clips there would be lost; name a folder")
     store = store_at(out)
     sources = find_sources(inputs, out)
     settings = settings or Settings()

@@ -46,8 +46,13 @@ class Store:
         return f"{self.root.rstrip('/')}/{name}"
 
     def files(self) -> Iterator[StoredFile]:
-        """Yield the files below the root, except hidden files and folders."""
-        for folder, folders, names in os.walk(self.root, onerror=_raise_unreadable):
+        """Yield the files below the root, except hidden files and folders.
+
+        A folder that cannot be searched is listed as FOLDER/*; if it is the root, an
+        InputError is raised.
+        """
+        refused: list[OSError] = []
+        for folder, folders, names in os.walk(self.root, onerror=refused.append):
             folders[:] = sorted(name for name in folders if name[0] != ".")
             inside = Path(folder).relative_to(self.root)
             for name in sorted(names):
@@ -55,6 +60,12 @@ class Store:
                     path = (inside / name).as_posix()
                     # List broken links too, so that they are reported as failed takes.
                     yield self.find(path) or StoredFile(path, 0, "")
+        for error in refused:
+            inside = Path(error.filename).relative_to(self.root)
+            if not inside.parts:
+                wrong = f"cannot be searched ({error.strerror}); check permissions"
+                raise InputError(f"{self.root}: {wrong}") from error
+            yield StoredFile(f"{inside.as_posix()}/*", 0, "")
 
     def find(self, name: str) -> StoredFile | None:
         """Return a file, or None if it does not exist."""
@@ -177,11 +188,6 @@ def is_folder(place: str) -> bool:
 def canonical(place: str) -> str:
     """Return a path with links resolved, or a URL without a trailing slash."""
     return place.rstrip("/") if is_url(place) else Path(place).resolve().as_posix()
-
-
-def _raise_unreadable(error: OSError) -> None:
-    wrong = f"cannot be searched ({error.strerror})"
-    raise InputError(f"{error.filename}: {wrong}; check permissions") from error
 
 
 def _file_system(url: str) -> tuple[Any, str]:

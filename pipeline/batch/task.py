@@ -85,6 +85,7 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     cleaner = _cleaner(job.settings.config, job.fingerprint)
     names = [n for n, take in zip(job.sensors, read, strict=False) if take is not None]
     take_notes = (*_missing_sensors(read, job), *recordings[0].notes)
+    take_notes += (*job.settings.left_out(recordings),)
     row: dict[str, Any] = {"clips": ()}
     errors = []
     cleaned = job.settings.clean(recordings, bodies, cleaner, _while_awaited)

@@ -16,7 +16,7 @@ from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import with_frame_rate
-from kinefilter.pipeline.formats.files import numbered, part_paths
+from kinefilter.pipeline.formats.files import as_path, numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
 from .terminal import (
@@ -89,6 +89,9 @@ class Clean:
         settings = self.settings
         if not self.takes:
             raise InputError("no take given; give the path of a recording")
+        for place in self.takes:
+            if as_path(place).is_dir():
+                raise InputError(f"{place}: is a folder; use 'kinefilter batch' for it")
         check_calibration(settings.calibration, self.takes)
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
@@ -121,17 +124,11 @@ class Clean:
         only = next(iter(figures.values()))
         write_json({"bodies": figures} if several else only, self.json)
         merges = [merged for _, merged in results.values() if merged]
-        for notes in (recording.notes, *(merged.all_notes() for merged in merges)):
-            for note in notes:
-                out.print(note)
-        count = len(recording.takes)
-        if count > 1 and settings.body is None and not merges:
-            out.print(
-                f"cleaned body {recording.main + 1} of {count}, the one seen in most "
-                f"frames; choose another with --body 1 to {count}, or --body all"
-            )
+        merge_notes = [note for merged in merges for note in merged.all_notes()]
+        for note in (*recording.notes, *merge_notes, *settings.left_out(recordings)):
+            out.print(note)
         damaged = any(result.damage for result, _ in results.values())
-        left_out = several and len(results) < count
+        left_out = several and len(results) < len(recording.takes)
         return 1 if left_out or (self.fail_on_damage and damaged) else 0
 
     def _check(self, used: list[Path | None]) -> None:
@@ -201,15 +198,16 @@ class Clean:
 class Batch:
     """Clean all takes in folders; run it again to resume.
 
-    Files that are not takes are skipped. OUT/manifest.jsonl (at a URL:
-    OUT/manifest/*.jsonl) gets a line for each finished take; OUT/manifest.csv is the
-    table of them. Takes that are no longer given keep their clips and rows: OUT may
-    be the folder of several batches. A take is cleaned again if it failed, if its clip
-    is missing, or if anything changed: the take, its clip, the options, a database or
-    model, or kinefilter's version. A file kinefilter.toml in a folder holds options for
-    the takes in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz";
-    options on the command line override it. Edits that 'kinefilter view' saved beside a
-    take, as NAME.edits.toml, are applied, unless --edits names others or --body is all.
+    Files that are not takes are skipped, and so are links to folders, which can be
+    given as folders of their own. OUT/manifest.jsonl (at a URL: OUT/manifest/*.jsonl)
+    gets a line for each finished take; OUT/manifest.csv is the table of them. Takes
+    that are no longer given keep their clips and rows: OUT may be the folder of several
+    batches. A take is cleaned again if it failed, if its clip is missing, or if
+    anything changed: the take, its clip, the options, a database or model, or
+    kinefilter's version. A file kinefilter.toml in a folder holds options for the takes
+    in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz"; options on
+    the command line override it. Edits that 'kinefilter view' saved beside a take, as
+    NAME.edits.toml, are applied, unless --edits names others or --body is all.
 
     With --sessions '{name}_{sensor}.csv*', takes whose names differ only in {sensor}
     are treated as simultaneous: they become one clip, NAME, as with 'kinefilter clean A

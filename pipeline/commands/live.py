@@ -37,16 +37,17 @@ class Live:
     """Stream cleaned poses frame by frame to games, engines and browsers.
 
     --out vmc://127.0.0.1:39539 drives a VMC receiver, and a second person the receiver
-    on the next port; --out ws://127.0.0.1:9001 sends poses to web pages on this
-    machine, which read them with new WebSocket("ws://127.0.0.1:9001").onmessage = e =>
-    JSON.parse(e.data). Each person is measured during the first second unless --height
-    is given. A sensor that is upside down or strongly tilted is reported and corrected
-    for. The newest frame wins; late, missing, malformed and dropped frames are counted,
-    as are frames with an impossible body. Several sensors, with one --in each, follow
-    people together: their placement and clock offsets are found and printed while a
-    person walks back and forth in front of them. Poses are sent with the frames of the
-    first sensor and never wait for another; people it loses are followed by the sensors
-    that still see them. Needs pip install "kinefilter[live]".
+    on the next port; --out ws://127.0.0.1:9001 sends poses to web pages that this
+    machine serves (one opened as a file needs --origin null), which read them with new
+    WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data). Each person is
+    measured during the first second unless --height is given. A sensor that is upside
+    down or strongly tilted is reported and corrected for. The newest frame wins; late,
+    missing, malformed and dropped frames are counted, as are frames with an impossible
+    body. Several sensors, with one --in each, follow people together: their placement
+    and clock offsets are found and printed while a person walks back and forth in front
+    of them. Poses are sent with the frames of the first sensor and never wait for
+    another; people it loses are followed by the sensors that still see them. Needs pip
+    install "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]
@@ -129,6 +130,7 @@ def status(session: Session) -> str:
         Event.REPEATED,
         Event.MISSING,
         Event.SLOW,
+        Event.REFUSED,
     )
     parts += [f"{events[event]} {event}" for event in noted if events[event]]
     if tally.malformed:

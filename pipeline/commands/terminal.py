@@ -40,8 +40,7 @@ _LOGGED = 60.0  # s between lines of a log
 def check_output(path: Path | None, *others: Path | None, suffix: str = "") -> None:
     """Raise an InputError if an output path is unusable; None is ignored.
 
-    Its folder must exist, its name must end in ``suffix``, and it must not be one of
-    ``others``.
+    Its name must end in ``suffix``, and it must not be one of ``others``.
     """
     if path is None:
         return

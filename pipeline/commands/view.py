@@ -96,9 +96,11 @@ class View:
                 yield f"{take[1]} ({', '.join(map(' '.join, figures))})"
 
         with suppress(KeyboardInterrupt):  # the regular way to quit
-            number, opened = 0, self._opened(clips, 0)
+            paths = enumerate(self.motion[0] / clip.output for _, clip in clips)
+            number = next((k for k, path in paths if path.is_file()), 0)
+            opened = self._opened(clips, number)
             with opened_server(self.bind, self.port) as server:
-                viewer = Viewer(server, *opened, listed=[*names()])
+                viewer = Viewer(server, *opened, listed=[*names()], shown=number)
                 shown = ", ".join(map(str, self.motion))
                 out.print(f"{viewer.address} shows {shown}; press Ctrl-C to quit")
                 if self.open:
@@ -114,6 +116,7 @@ class View:
 
     def _listed(self, folder: Path) -> list[tuple[Row, ClipRow]]:
         """Return the clips of a batch, the worst first."""
+        from kinefilter.pipeline.batch.again import find_takes
         from kinefilter.pipeline.batch.manifest import read_rows
         from kinefilter.pipeline.batch.outcome_tables import worst_first
 
@@ -124,6 +127,11 @@ class View:
             )
         if not (clips := worst_first(read_rows(folder))):
             raise InputError(f"{folder}: its manifest lists no clips")
+        if self.take and not any(find_takes(row, self.take) for row, _ in clips):
+            raise InputError(
+                f"--take {self.take[0]}: has no take of these clips; give the folder "
+                f"that contains {clips[0][0].take}"
+            )
         return clips
 
     def _opened(

@@ -81,7 +81,8 @@ class Export:
     """Start of the clip, in seconds after the take's first frame. The whole take is
     cleaned in any case."""
     end: float | None = None
-    """End of the clip, in seconds after the take's first frame."""
+    """End of the clip, in seconds after the take's first frame; at the latest, and by
+    default, the take's end."""
     loop: bool = False
     """Blend the end of the clip into its beginning: the last frame has the posture of
     the first, wherever the person has gone and faces by then. Planted feet stay put."""
@@ -212,11 +213,10 @@ def span_of(export: Export, time: Array, source: str) -> slice:
             f"{source}: no frames from {since[first - 1]:.4g} to {since[first]:.4g} s; "
             "choose --begin and --end outside of this gap"
         )
-    if first >= stop or end > duration + slack:
-        option = "--begin" if first >= stop else "--end"
+    if first >= stop:
         raise InputError(
-            f"{source}: its {len(time)} frames end at {duration:.4g} s; {option} "
-            f"{begin if first >= stop else end:g} is after that"
+            f"{source}: its {len(time)} frames end at {duration:.4g} s; --begin "
+            f"{begin:g} is after that"
         )
     return slice(int(first), int(stop))
 

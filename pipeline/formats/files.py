@@ -17,6 +17,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryFile
 from tokenize import TokenError
 from typing import Any, TextIO, TypeVar
+from urllib.request import url2pathname
 
 import numpy as np
 
@@ -43,6 +44,7 @@ _UNUSABLE = re.compile(
     r'(con|prn|aux|nul|(com|lpt)\d)(\..*)?|.*[<>:"|?*].*|.*[ .]', re.IGNORECASE
 )
 """Names that Windows reserves for devices, changes, or refuses."""
+_FILE_URL = re.compile(r"((?:--[\w-]+=)?)file://(?:localhost)?(/.*)", re.DOTALL)
 _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 _DAMAGE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
@@ -53,19 +55,23 @@ _DAMAGE = (
 
 
 def check_folder(path: AnyPath) -> Path:
-    """Return ``path`` if a file can be written there, else raise InputError."""
+    """Return ``path`` if a file can be written there, else raise InputError.
+
+    Its folder may be missing: ``atomic_path`` creates it.
+    """
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
-    if not path.parent.is_dir():
-        wrong = f"folder {path.parent} does not exist; create it"
-        if path.parent.exists():
-            wrong = f"{path.parent} is a file; choose a folder"
-        raise InputError(f"{path}: {wrong}")
+    if path.parts[:1] and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]):
+        raise InputError(f"{path}: only batch takes URLs; give a local path")
+    folder = next((p for p in path.parents if p.exists()), path.parent)
+    if not folder.is_dir():
+        wrong = "is a file; choose a folder" if folder.exists() else "does not exist"
+        raise InputError(f"{path}: {folder} {wrong}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the name of a file to write")
     try:
-        with TemporaryFile(dir=path.parent):
+        with TemporaryFile(dir=folder):
             return path
     except OSError as error:
         reason = f"cannot be written ({error.strerror})"
@@ -81,13 +87,25 @@ def make_folder(path: Path) -> None:
         raise InputError(f"{path}: {reason}; write elsewhere") from error
 
 
+def local_path(place: str) -> str:
+    """Return the path that a ``file://`` URL names, and any other text as it is.
+
+    An option may come before it, as in ``--out=file:///clips``.
+    """
+    found = _FILE_URL.fullmatch(place)
+    return place if found is None else found[1] + url2pathname(found[2])
+
+
 def as_path(path: AnyPath) -> Path:
     """Convert to a path that the system accepts, or raise InputError."""
     try:
         found = Path(path)
         found.is_dir()
-    except (TypeError, OSError):  # not a name at all, or too long
+    except TypeError:
         raise InputError(f"{shown(path)}: is not a valid file name") from None
+    except OSError as error:  # too long, or in a folder without permission
+        wrong = f"cannot be accessed ({error.strerror}); check its name and rights"
+        raise InputError(f"{str(path)[:_LONGEST_PATH]}: {wrong}") from None
     return found
 
 
@@ -108,10 +126,12 @@ def part_paths(path: _Path, parts: int) -> list[_Path]:
 def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that replaces it on success.
 
+    Its folder is created if it is missing.
     If the block raises, an existing file stays as it was. The temporary path has the
     same suffix. Raises InputError if the file cannot be written.
     """
     target = check_folder(path)
+    make_folder(target.parent)
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
     try:
         yield temporary
@@ -176,6 +196,8 @@ def check_file(path: AnyPath) -> Path:
             wrong = "is a pipe, a socket or a device; give a file"
         elif path.is_symlink():
             wrong = "is a link to a missing file; restore that file or remove the link"
+        elif path.parent.is_dir() and not os.access(path.parent, os.R_OK | os.X_OK):
+            wrong = "its folder cannot be searched; check permissions"
         raise InputError(f"{path}: {wrong}")
     return path
 

@@ -95,9 +95,9 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
         notes = recording.notes if recording.timed else (note, *recording.notes)
         return replace(recording, notes=notes)
     if recording.timed:
-        raise InputError(f"{source}: has time stamps; leave out --take-fps")
+        raise InputError(f"{source}: has time stamps; give no frame rate (--take-fps)")
     if not 1.0 <= fps <= FASTEST:
-        raise InputError(f"--take-fps {fps:g}: expected 1 to {FASTEST:g} frames/s")
+        raise InputError(f"--take-fps: {fps:g} frames/s, expected 1 to {FASTEST:g}")
     slower = ASSUMED_FPS / fps
     takes = tuple(replace(t, time=slower * t.time) for t in recording.takes)
     for take in takes:

@@ -19,7 +19,7 @@ from kinefilter.pipeline.failures import FailureKind
 from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.live.crowd import MEASURED_FOR
 from kinefilter.pipeline.methods import SCORERS, load
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, one_skeleton
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import measure_reference
 from kinefilter.pipeline.stages import Correct
@@ -53,10 +53,11 @@ def evaluate(
 ) -> dict[str, Any]:
     """Return the errors of methods, in cm, and their speed.
 
-    Arguments are the options of ``kinefilter evaluate``, which explains them, with
-    clips in place of files; ``assigned`` is its ``--set``. ``database`` is by default
-    the built-in one, and with ``mocap`` made of the training clips. Raises an
-    InputError if a method is unknown, or if people or repetitions are too few.
+    ``kinefilter evaluate --help`` explains the figures, and the arguments as options;
+    clips, from ``read_pairs``, are in place of files, and ``assigned`` is ``--set``.
+    ``database`` is by default the built-in one, and with ``mocap`` made of the training
+    clips. Raises an InputError if a method is unknown, if people or repetitions are too
+    few, or if skeletons differ.
     """
     for items, kind, what in (
         (methods, str, "methods"),
@@ -74,7 +75,7 @@ def evaluate(
     step = as_step(every)
     folds = [(known, new[::step]) for known, new in folds_of(train, test, protocol)]
     tested = [pair for _, new in folds for pair in new]
-    skeleton = tested[0].take.skeleton
+    skeleton = one_skeleton([*train, *test])
     accuracy = Accuracy(skeleton)
     tallies: dict[str, Tally] = {"raw": Tally(accuracy)}
     for known, new in folds:

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.correct import Corrector
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, one_skeleton
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import Mode
@@ -137,6 +137,8 @@ def _folds(
 ) -> Iterator[tuple[list[Case], list[_Ready]]]:
     learning = [system for system in systems if system.learns or recordings]
     yield cases, [_Ready(system) for system in systems if system not in learning]
+    if learning:
+        one_skeleton(pairs)
     people = sorted({pair.subject for pair in pairs}) if learning else []
     if len(people) == 1:
         raise InputError(
@@ -316,9 +318,11 @@ def _mean(records: Sequence[Record], key: str, row: str) -> float | None:
 
 def as_table(rows: Sequence[Record], title: str, by: By | None = None) -> Table:
     """Return the rows of ``summarize`` for a terminal."""
-    table = Table("limb", *([by] if by else []), "", title=title)
+    parts = [Column(name, no_wrap=True) for name in ("limb", *([by] if by else []))]
+    table = Table(*parts, Column(overflow="fold"), title=title, pad_edge=False)
     for heading in ("clips", "cm", "% of hold", "cm to mocap", "worse %", "within"):
-        table.add_column(heading, justify="right", no_wrap=True)
+        width = max(4, *map(len, heading.split()))
+        table.add_column(heading, justify="right", min_width=width)
     for row in rows:
         figures = [row["unhidden_cm"], row["percent_of_hold"], row["mocap_cm"]]
         digits = zip([*figures, row["worse_percent"]], (1, 0, 1, 0), strict=True)

@@ -91,6 +91,13 @@ class Access(NamedTuple):
     origins: tuple[str, ...] = ()  # of other machines' web pages that may connect
     tls: ssl.SSLContext | None = None  # None: connections are not encrypted
 
+    def admits(self, headers: Headers) -> bool:
+        """Return True if a request is from a program, or a page that may connect."""
+        return all(
+            OWN_PAGES.fullmatch(origin) or origin in self.origins
+            for origin in headers.get_all("Origin")
+        )
+
     def grants(self, path: str, headers: Headers) -> bool:
         """Return True if a request presents the token, or none is needed."""
         if self.token is None:
@@ -184,7 +191,9 @@ async def open_server(
     from websockets.asyncio.server import serve
 
     def guard(connection: ServerConnection, request: Request) -> Response | None:
-        if not access.grants(request.path, request.headers):
+        if not access.admits(request.headers):
+            status, reason = HTTPStatus.FORBIDDEN, "add --origin for such a page\n"
+        elif not access.grants(request.path, request.headers):
             status, reason = HTTPStatus.UNAUTHORIZED, "a token is needed\n"
         elif len(connection.server.connections) >= MAX_CONNECTIONS:
             status, reason = HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n"
@@ -193,14 +202,11 @@ async def open_server(
         tally.events[Event.REFUSED] += 1
         return connection.respond(status, reason)
 
-    # None stands for programs, which have no origin.
-    origins: Sequence[str | re.Pattern[str] | None] = [None, OWN_PAGES, *access.origins]
     try:
         server = await serve(
             handler,
             address.host,
             address.port,
-            origins=origins,  # type: ignore[arg-type] # declared too narrowly
             process_request=guard,
             ssl=access.tls,
             compression=None,  # poses are small, and latency matters

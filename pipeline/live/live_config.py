@@ -27,7 +27,8 @@ class AccessConfig:
     """Private key of the certificate (PEM); default: read from the certificate file."""
     origin: UseAppendAction[tuple[str, ...]] = ()
     """Also allow web pages from this origin, such as https://studio.example, besides
-    pages of this machine; may be given several times."""
+    those that this machine serves; may be given several times. null allows pages opened
+    as files, as which pages of other sites can pose."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,12 @@ from io import FileIO
 from pathlib import Path
 
 from kinefilter.characters import InputError, Skeleton
-from kinefilter.pipeline.formats.files import append_whole, check_folder, numbered
+from kinefilter.pipeline.formats.files import (
+    append_whole,
+    check_folder,
+    make_folder,
+    numbered,
+)
 from kinefilter.pipeline.formats.sheets import PART, take_header, take_rows
 
 from .messages import SeenBody, as_arrays
@@ -43,6 +48,7 @@ class Recorder:
         check_folder(path)
         if path.suffix != ".csv":
             raise InputError(f"{path}: expected a name that ends in .csv")
+        make_folder(path.parent)
         there = [path] if path.exists() else []
         there += sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.csv"))
         if there:

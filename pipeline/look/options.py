@@ -23,7 +23,7 @@ class Look:
     begin: float = 0.0
     """Time in the clip to begin at, in seconds."""
     end: float | None = None
-    """Time in the clip to end at, in seconds; default: the end of the clip."""
+    """Time in the clip to end at, in seconds; at most, and by default, its end."""
     compare: Path | None = None
     """The take that the clip was made from, drawn as a stick figure with joints colored
     by reliability: blue (reliable), pale yellow, red (unreliable)."""

@@ -21,7 +21,7 @@ import numpy as np
 from kinefilter.characters import Clip, InputError, Prop
 from kinefilter.characters.props import CORNERS
 from kinefilter.pipeline.formats.export import resampled
-from kinefilter.pipeline.formats.files import atomic_path, check_folder, make_folder
+from kinefilter.pipeline.formats.files import atomic_path, check_folder
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.pipeline.workers import ProcessDiedError, cores, given_up, workers
@@ -202,7 +202,7 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
 
     ``{clip}`` stands for the clip's name. With several clips and no ``{clip}``, the
     clip's name is added before the extension, or as a folder of numbered pictures.
-    Folders of numbered pictures are created. Raises an InputError for invalid names.
+    Raises an InputError for invalid names.
     """
     if out.suffix.lower() not in _EXTENSIONS:
         raise InputError(
@@ -224,8 +224,6 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
             "with the same name one at a time"
         )
     for path in paths:
-        if numbered:
-            make_folder(path.parent)
         check_folder(path)
     return paths
 

@@ -11,12 +11,12 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 import kinefilter
-from kinefilter.pipeline.pairs import read_pairs
 
 
 def main(path: Path, *methods: str) -> None:
     """Print the errors of each method's clips relative to the mocap."""
-    figures = kinefilter.evaluate([], read_pairs(path), methods or ("none", "default"))
+    pairs = kinefilter.read_pairs(path)
+    figures = kinefilter.evaluate([], pairs, methods or ("none", "default"))
     for name, row in figures["methods"].items():
         print(f"{name}: E {row['E']:.2f} cm, E_var {row['E_var']:.2f} cm")
 

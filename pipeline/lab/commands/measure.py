@@ -42,10 +42,11 @@ class Evaluate:
     of the hips; E_std the same with both sides scaled to standard bone lengths; E_var
     the same without each joint's constant offset over a clip, which leaves what a
     viewer notices as wrong motion. All are in cm: means over frames and joints, then
-    over people, and relative to the raw take. Two more columns: within, the share of
-    coordinates within the uncertainty that the clip states, and found, how well the
-    distance by which a method moves a joint detects errors above 7 cm (area under the
-    ROC curve).
+    over people, and relative to the raw take. Further columns: p95, the 95th percentile
+    of E's distances [cm]; jitter [m/s³]; ms, the method's time per frame; within, the
+    share of coordinates within the uncertainty that the clip states, and below 1.96
+    times it; and found, how well the distance by which a method moves a joint detects
+    errors above 7 cm (area under the ROC curve).
 
     default is exactly what clean does, with the weights that ship. They were trained on
     the six people of UI-PRMD and on fourteen people recorded by two Kinects; learned is
@@ -97,8 +98,8 @@ class Evaluate:
     mocap_database: bool = False
     """Use the mocap of the training clips as the motion database."""
     hide: tuple[str, ...] = ()
-    """Limbs to hide, one at a time: left-arm, right-arm, arms, left-leg, legs, shins,
-    left-hand (wrist and hand) and so on."""
+    """Limbs to hide, one at a time, comma-separated: left-arm, right-arm, arms,
+    left-leg, legs, shins, left-hand (wrist and hand) and so on."""
     gap: tuple[str, ...] = ("55%",)
     """How long a limb is hidden: seconds, or a percentage of the clip. Clips that are
     too short are skipped and counted."""
@@ -179,7 +180,9 @@ class Evaluate:
                 "--hide needs pairs files, as in evaluate PAIRS --hide left-arm"
             )
         options = hidden_limbs.HiddenLimbs(
-            self.hide, self.gap, self.guess, self.context, self.live, self.physics
+            tuple(_listed(",".join(self.hide))),
+            tuple(_listed(",".join(self.gap))),
+            *(self.guess, self.context, self.live, self.physics),
         )
         default = "" if self.presets else "none,default"
         with progress_bars() as progress:
@@ -198,8 +201,9 @@ class Evaluate:
             for by in (None, *get_args(hidden_limbs.By))
         }
         figures = asdict(options) | {"skipped": skipped, "rows": rows, "clips": records}
+        gaps = ", ".join(g if g[-1] == "%" else f"{g} s" for g in options.gaps)
         title = (
-            f"hidden for {', '.join(self.gap)}, guess {self.guess}, clips "
+            f"hidden for {gaps}, guess {self.guess}, clips "
             f"{'alone' if self.context == 'alone' else 'among repetitions'}"
             f"{', live' if self.live else ''}; {skipped} too short"
         )
@@ -279,8 +283,6 @@ class Reproduce:
         studies.check_names(names)
         studies.output.check_drawing()
         data = studies.recordings_folder(self.data)
-        if not folder.is_dir():
-            check_output(folder)  # only the last folder may be missing
         make_folder(folder)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
         for name in names:
