@@ -43,6 +43,7 @@ from .stages import (
     SharedStage,
     Stage,
     Standardize,
+    Trunk,
 )
 from .target.aim_stages import AimHands, AimHead
 from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
@@ -83,6 +84,7 @@ class Cleaner:
             Standardize(),  # map to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # correct unreliable joints, map back
             MeasureCorrectedBody(config),  # measure the segments again, as corrected
+            Trunk(),  # keep hips and shoulders from folding or twisting too far
             Level(config),  # find the stances, and level the floor under them
             Smooth(config),  # smooth the joints, slow ones most
             Floor(config),  # put the floor at y = 0, under the planted feet
@@ -94,7 +96,8 @@ class Cleaner:
             Physics(config, tracking),  # pull a simulated character through the motion
         )
         enabled = {"physics": config.physics, "reconstruct": config.reconstruct}
-        enabled["failures"] = config.preset is None  # no paper repairs its input
+        # No paper repairs its input or output.
+        enabled |= dict.fromkeys(("failures", "trunk"), config.preset is None)
         self.stages = tuple(s for s in stages if enabled.get(s.name, True))
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()
