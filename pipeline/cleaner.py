@@ -43,10 +43,18 @@ from .stages import (
     SharedStage,
     Stage,
     Standardize,
-    Trunk,
 )
 from .target.aim_stages import AimHands, AimHead
-from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
+from .target.target_stages import (
+    Bones,
+    Feet,
+    Floor,
+    Level,
+    Orient,
+    Smooth,
+    Trunk,
+    Upright,
+)
 
 _Passing = tuple[Take, Any, Draft]  # recorded frames, index of all, working state
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion

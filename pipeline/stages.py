@@ -27,7 +27,6 @@ from .failures import (
     repaired,
     stray_joints,
 )
-from .failures.trunk import possible_trunk
 from .methods import SCORERS, load
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference
@@ -313,17 +312,3 @@ class Correct(Stage):
             scores = usual(scores, draft.hidden, draft.state == State.TRACKED)
         context = draft.time, draft.body.lengths, draft.heading.origin
         return Observation(draft.standard, scores[0], scores[1], *context)
-
-
-class Trunk(Stage):
-    """Keeps correction from folding or twisting the trunk as nobody can."""
-
-    name = "trunk"
-    local = True
-
-    def step(self, draft: Draft) -> None:
-        """No-op: a trunk turns evenly between what comes before and after."""
-
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Turn hips and shoulders of a take evenly where they show nothing."""
-        draft.positions = possible_trunk(draft.time, draft.positions, draft.body)

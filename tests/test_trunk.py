@@ -16,10 +16,9 @@ from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.rotations import about_x, rotate, wrapped
 from kinefilter.pipeline.failures import find_failures, repaired
 from kinefilter.pipeline.failures.sides import swapped_back
-from kinefilter.pipeline.failures.trunk import possible_trunk, steadied
+from kinefilter.pipeline.failures.trunk import steadied
 from kinefilter.pipeline.merge.alignment import IDENTITY
 from kinefilter.pipeline.merge.session import fuse
-from kinefilter.pipeline.reliability import measure_body, measure_reference
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import MOTIONS
 
@@ -126,26 +125,6 @@ def test_a_trunk_stays_wide_where_sensors_disagree_which_way_it_faces() -> None:
             for x in (found, take)
         )
         assert (wide > 0.6 * usual).all()
-
-
-@pytest.mark.parametrize("part", ["Hip", "Shoulder"])
-@pytest.mark.parametrize(("share", "turn"), [(0.3, 0.0), (1.0, 60.0), (0.6, -80.0)])
-def test_correction_neither_folds_nor_twists_trunks(
-    part: str, share: float, turn: float
-) -> None:
-    take, some = performed("stand_idle"), slice(50, 70)
-    body = measure_body(take, measure_reference(take))
-    left, right = KINECT_V2.sides(part)
-    moved = take.positions.copy()
-    middle = 0.5 * (moved[some, left] + moved[some, right])
-    frame = HeadingFrame(middle, np.full(20, np.radians(turn)))
-    for end in (left, right):
-        away = share * (moved[some, end] - middle)
-        moved[some, end] = frame.restore(away[:, None])[:, 0]
-    found = possible_trunk(take.time, moved, body)
-    np.testing.assert_allclose(found, take.positions, atol=0.03)
-    kept = possible_trunk(take.time, take.positions, body)
-    np.testing.assert_array_equal(kept, take.positions)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

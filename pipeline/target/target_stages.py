@@ -22,6 +22,7 @@ from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
+from .possible_trunk import possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .upright import Turn, find_turn, given_turn
@@ -92,6 +93,21 @@ class Upright(SharedStage):
         draft.measured = floor.leveled(draft.measured, turn.tilt, turn.roll)
         if draft.face is not None:
             draft.face = floor.leveled(draft.face, turn.tilt, turn.roll)
+
+
+class Trunk(Stage):
+    """Stage that keeps correction from folding or twisting trunks as nobody can."""
+
+    name = "trunk"
+    local = True
+
+    def step(self, draft: Draft) -> None:
+        """Unfold the trunk of the next frame."""
+        draft.positions = possible_trunk(draft.positions[None], draft.body)[0]
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Unfold the trunk in a take."""
+        draft.positions = possible_trunk(draft.positions, draft.body)
 
 
 class Level(SharedStage):
