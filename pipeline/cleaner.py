@@ -51,8 +51,8 @@ from .target.target_stages import (
     Floor,
     Level,
     Orient,
+    Ranges,
     Smooth,
-    Trunk,
     Upright,
 )
 
@@ -92,7 +92,7 @@ class Cleaner:
             Standardize(),  # map to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # correct unreliable joints, map back
             MeasureCorrectedBody(config),  # measure the segments again, as corrected
-            Trunk(),  # keep hips and shoulders from folding or twisting too far
+            Ranges(),  # keep trunks and knees from bending as nobody can
             Level(config),  # find the stances, and level the floor under them
             Smooth(config),  # smooth the joints, slow ones most
             Floor(config),  # put the floor at y = 0, under the planted feet
@@ -105,7 +105,7 @@ class Cleaner:
         )
         enabled = {"physics": config.physics, "reconstruct": config.reconstruct}
         # No paper repairs its input or output.
-        enabled |= dict.fromkeys(("failures", "trunk"), config.preset is None)
+        enabled |= dict.fromkeys(("failures", "ranges"), config.preset is None)
         self.stages = tuple(s for s in stages if enabled.get(s.name, True))
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()

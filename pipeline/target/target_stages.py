@@ -22,6 +22,7 @@ from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
+from .possible_knees import possible_knees
 from .possible_trunk import possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
@@ -95,19 +96,21 @@ class Upright(SharedStage):
             draft.face = floor.leveled(draft.face, turn.tilt, turn.roll)
 
 
-class Trunk(Stage):
-    """Stage that keeps correction from folding or twisting trunks as nobody can."""
+class Ranges(Stage):
+    """Stage that keeps trunks from folding or twisting, and knees from bending back."""
 
-    name = "trunk"
+    name = "ranges"
     local = True
 
     def step(self, draft: Draft) -> None:
-        """Unfold the trunk of the next frame."""
-        draft.positions = possible_trunk(draft.positions[None], draft.body)[0]
+        """Put the joints of the next frame where bodies can have them."""
+        positions = possible_trunk(draft.positions[None], draft.body)
+        draft.positions = possible_knees(positions, draft.skeleton)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
-        """Unfold the trunk in a take."""
-        draft.positions = possible_trunk(draft.positions, draft.body)
+        """Put the joints of a take where bodies can have them."""
+        positions = possible_trunk(draft.positions, draft.body)
+        draft.positions = possible_knees(positions, draft.skeleton)
 
 
 class Level(SharedStage):
