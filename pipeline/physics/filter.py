@@ -121,7 +121,7 @@ class _Cue:
         if person.stands is None:
             return None
         stands = person.stands[after]
-        if person.time[after] - person.time[before] > _UNSEEN:
+        if _UNSEEN < person.time[after] - person.time[before] <= LONG_GAP:
             moved = person.positions[after] - person.positions[before]
             away = np.linalg.norm(moved[self._toes], axis=1)
             stands = stands & person.stands[before] & (away < _PLACE)
