@@ -26,4 +26,4 @@ def guessed_knees(take: Take) -> Flags:
         hip, knee, ankle = (take.skeleton.index(part + side) for part in LIMBS["leg"])
         if share[knee] <= _RARELY and min(share[[hip, ankle]]) > _MOSTLY:
             guessed[:, knee] = ~tracked[:, knee]
-    return guessed
+    return np.asarray(guessed)

@@ -125,7 +125,7 @@ class _Cue:
             moved = person.positions[after] - person.positions[before]
             away = np.linalg.norm(moved[self._toes], axis=1)
             stands = stands & person.stands[before] & (away < _PLACE)
-        return stands
+        return np.asarray(stands)
 
     def move(self, k: int, dt: float) -> Move:
         """Return the move to a time stamp that comes ``dt`` [s] after the last."""
