@@ -11,6 +11,8 @@ from .errors import InputError
 
 SIDES = ("Left", "Right")
 """Suffixes of paired joints; arrays with a row per side have this order."""
+LIMB_PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+"""Joints of arms and legs that every tracker and mocap have, without their side."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from .cleaner import Cleaner
 from .config import CleanConfig
 from .correct import Corrector
 from .physics.stage import Physics
-from .target.upright import Turn
+from .upright import Turn
 
 
 @dataclass(frozen=True, eq=False)

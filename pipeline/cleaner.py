@@ -16,11 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Body, InputError, Take, Tracking
-from kinefilter.characters.arrays import (
-    as_number,
-    check_choice,
-    check_kind,
-)
+from kinefilter.characters.arrays import as_number, check_choice, check_kind
 from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import LATEST_TIME_STAMP, distinct_stamps
 

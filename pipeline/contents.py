@@ -14,12 +14,7 @@ from rich.table import Table
 from kinefilter.characters import KINECT_V1, Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.gaps import describe_gaps, long_gaps
-from kinefilter.characters.motion import (
-    CONTACTS,
-    Origin,
-    distinct_stamps,
-    nominal_step,
-)
+from kinefilter.characters.motion import CONTACTS, Origin, distinct_stamps, nominal_step
 from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
@@ -45,7 +40,7 @@ _PARTS = {
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
-_CALIBRATION = "kinefilter calibration"  # as merge/calibration.py writes it
+_CALIBRATION = "kinefilter calibration"  # as merge/session.py writes it
 _IN_PLACE = 1e-5  # m over the floor: no one stands so still
 _LISTED = 30  # joint names listed on a terminal
 _SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}

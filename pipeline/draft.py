@@ -18,7 +18,7 @@ from kinefilter.retarget import HeadingFrame
 from .failures import Failure
 from .physics import PhysicsTrace
 from .reliability import Reference
-from .target.upright import Turn
+from .upright import Turn
 
 _RECONSTRUCTED = 0.6  # weight of a hidden joint, against a measured one's 1
 

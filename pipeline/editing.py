@@ -2,15 +2,19 @@
 
 Within half a second of an edit, the motions cleaned with and without it blend into each
 other; farther away nothing changes. Whatever is measured over the whole take, such as
-the body and the floor, is taken from the clip without edits.
+the body and the floor, is taken from the clip without edits. A pinned joint takes its
+neighbors in time and in the body along.
 """
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import Take
+from kinefilter.characters import InputError, Origin, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.retarget.stance import smooth_step
@@ -18,19 +22,22 @@ from kinefilter.retarget.stance import smooth_step
 from .draft import Draft, Unedited
 from .edits import Edit, distrusted, edited, exchanged, with_contacts
 from .progress import Progress
+from .reconstruct.foothold import middle_joint
+from .reconstruct.limbs import limbs
 from .stages import Stage
-from .target.feet import ankles_and_toes
-from .target.pins import pin
+from .target.feet import PLANTED, ankles_and_toes
 from .target.target_stages import Feet
 
 # Distances from the nearest edit [s].
 _FULL = 0.15  # within it only the edited target counts
 _FADED = 0.4  # beyond it the edited target does not count: physics lags behind
-_AROUND = 0.5  # beyond it nothing changes
+_AROUND = 0.5  # beyond it nothing changes, nor does a pin move its joint
 _SETTLED = 0.2  # last part of that, in which physics blends into the previous motion
 _CONTEXT = 1.0  # beyond it, frames that smoothing and physics need as a lead-in
 _MOVED = 1e-4  # m
 _OF_TAKE = ("distrust", "exchange")  # edits that change the take itself
+_RAISED = 0.01  # m: a foot that is pinned higher has left the floor. A guess.
+_FARTHEST = 2.0  # m from where the joint is; more is hardly meant. A guess
 
 
 def unedited(stages: Sequence[Stage], take: Take, progress: Progress) -> Unedited:
@@ -164,3 +171,65 @@ def _from(since: Array, frames: Flags) -> Array:
     after = np.searchsorted(flagged, since)
     away: Array = np.minimum(flagged[after] - since, since - flagged[after - 1])
     return away
+
+
+def pin(draft: Draft, pins: Sequence[Edit]) -> None:
+    """Move joints to their pins, and the joints beyond them along with them.
+
+    If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
+    handles what is out of reach. If the trunk is pinned, planted feet stay. A foot that
+    a pin raises does not stand. Raises InputError for a pin over 2 m from its joint.
+    """
+    skeleton, since = draft.skeleton, draft.time - draft.time[0]
+    for one in pins:
+        joint = one.joints[0]
+        place = draft.positions[one.frames(since).argmax(), skeleton.index(joint)]
+        if not (far := np.linalg.norm(place - one.position)) <= _FARTHEST:
+            raise InputError(
+                f"{one.source or one}: {joint} is {far:.1f} m away from there, at "
+                f"{place.round(2).tolist()}; pin it within {_FARTHEST:g} m of that, in "
+                "meters in the clip's frame of reference"
+            )
+    positions, weights = draft.positions.copy(), draft.bone_weights.copy()
+    origin, stands = draft.origin.copy(), weights >= PLANTED
+    for name in dict.fromkeys(pinned.joints[0] for pinned in pins):
+        j = skeleton.index(name)
+        own = sorted((p for p in pins if p.joints[0] == name), key=lambda p: p.begin)
+        places = {int(p.frames(since).argmax()): p.position for p in own}
+        frames = list(places)
+        away = np.array(list(places.values())) - positions[frames, j]
+        curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
+        moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)
+        ends = (x for x in limbs(skeleton) if j in skeleton.descendants(x[1]))
+        limb = next(ends, None)
+        first = j if limb is None else limb[2]
+        for k in (first, *skeleton.descendants(first)):
+            stays = stands[:, k, None] & (limb is None)
+            positions[:, k] += np.where(stays, 0.0, moves)
+        if limb is not None:
+            _, middle, end = limb
+            lengths = (draft.body.lengths[middle], draft.body.lengths[end])
+            top, inner, outer = np.moveaxis(positions[:, limb], 1, 0)
+            there, _ = middle_joint(top, inner, outer, lengths)
+            positions[:, middle] += firm * (there - positions[:, middle])
+        weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
+        moved = origin[frames, j] == Origin.MEASURED
+        origin[np.array(frames)[moved], j] = Origin.CORRECTED
+    _, toes = ankles_and_toes(skeleton)
+    raised = (positions - draft.positions)[:, toes, 1] > _RAISED
+    draft.stands = draft.stands & ~raised
+    draft.contacts = draft.contacts & ~raised.repeat(2, axis=1)
+    draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
+
+
+def _curve(times: Array, values: Array) -> Any:  # a CubicHermiteSpline
+    """Return a curve through values (N, C) at times [s] (N,), falling to 0 beyond."""
+    from scipy.interpolate import CubicHermiteSpline  # takes long to load
+
+    ends = [t + d for t in times for d in (-_AROUND, _AROUND)]
+    ends = [t for t in ends if np.abs(times - t).min() >= _AROUND - 1e-6]
+    knots = dict.fromkeys(ends, np.zeros_like(values[0]))
+    knots |= dict(zip(times, values, strict=True))
+    at = sorted(knots)
+    rows = np.array([knots[t] for t in at])
+    return CubicHermiteSpline(at, rows, np.zeros_like(rows))

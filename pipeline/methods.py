@@ -58,9 +58,9 @@ METHODS = {
 LEARNED = {name: m for name, m in METHODS.items() if m.requires == "pairs"}
 SCORERS = {
     "shum": "reliability:ReliabilityScorer",
-    "chiang": "lab.scorers.chiang_scorer:ChiangReliabilityScorer",
-    "noise": "lab.scorers.noise_scorer:NoiseReliabilityScorer",
-    "learned": "lab.scorers.learned_scorer:LearnedReliabilityScorer",
+    "chiang": "lab.scorers:ChiangReliabilityScorer",
+    "noise": "lab.scorers:NoiseReliabilityScorer",
+    "learned": "lab.scorers:LearnedReliabilityScorer",
 }
 """Reliability scorers: after Shum 2013, after Chiang 2017, from noise and segment
 lengths, and trained on simulated people."""

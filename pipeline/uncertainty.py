@@ -13,11 +13,10 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.skeleton import LIMB_PARTS
 
 from .draft import Draft
 
-PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
-"""Joints with weights, left and right; the others get those of the nearest one."""
 SEEN = ("speed", "unreliable", "unknown posture")
 HIDDEN = ("until seen", "speed at ends", "unknown posture")
 """Features of the joints the sensor saw, and of hidden ones; times and speeds are
@@ -45,10 +44,10 @@ def log_uncertainty(
 ) -> Array:
     """Return the logarithm of the uncertainty [m] of the judged joints, (T, 2 P).
 
-    ``weights`` are by seen or hidden, then by PARTS; ``describe`` returns the rest.
+    ``weights`` are by seen or hidden, then by part; ``describe`` returns the rest.
     """
     found = np.empty(hidden.shape)
-    for k, part in enumerate(PARTS):
+    for k, part in enumerate(LIMB_PARTS):
         sides = slice(2 * k, 2 * k + 2)
         logs = []
         for kind, features in (("seen", seen), ("hidden", gone)):
@@ -61,8 +60,8 @@ def log_uncertainty(
 def describe(draft: Draft) -> tuple[Array, Array, Flags]:
     """Return features SEEN and HIDDEN of the judged joints, and which are hidden.
 
-    Shapes (T, 2 P, 3) twice and (T, 2 P), joints in the order of PARTS, left before
-    right. HIDDEN is NaN for a joint that is never seen.
+    Shapes (T, 2 P, 3) twice and (T, 2 P), joints in the order of LIMB_PARTS, left
+    before right. HIDDEN is NaN for a joint that is never seen.
     """
     skeleton, time = draft.skeleton, draft.time
     joints = judged(skeleton)
@@ -93,8 +92,8 @@ def _gap(speed: Array, gap: slice, time: Array) -> Array:
 
 
 def judged(skeleton: Skeleton) -> list[int]:
-    """Return the indices of the judged joints, in the order of PARTS."""
-    return [j for part in PARTS for j in skeleton.sides(part)]
+    """Return the indices of the judged joints, in the order of LIMB_PARTS."""
+    return [j for part in LIMB_PARTS for j in skeleton.sides(part)]
 
 
 def _nearest_judged(skeleton: Skeleton) -> list[list[int]]:

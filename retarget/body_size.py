@@ -129,7 +129,7 @@ class Standardizer:
         skeleton = self.body.skeleton
         missing = np.isnan(positions[..., 0])
         root = _filled_forward(positions[:, skeleton.root], self._root)
-        yaw = find_yaw(positions, weights, skeleton)
+        yaw = find_yaw(positions, skeleton, weights)
         if np.isnan(self._yaw):
             self._yaw = next(iter(yaw[~np.isnan(yaw)]), np.array(0.0))
         yaw = _filled_forward(yaw, self._yaw)

@@ -73,17 +73,20 @@ def _turned(positions: Array, yaw: Array) -> Array:
     return turned
 
 
-def find_yaw(positions: Array, weights: Array, skeleton: Skeleton) -> Array:
+def find_yaw(
+    positions: Array, skeleton: Skeleton, weights: Array | None = None
+) -> Array:
     """Return the heading [rad] of postures, NaN where it cannot be found.
 
     It is perpendicular to the lines through hips and shoulders, projected on the floor
-    and weighted by the weights of both ends. Positions [m] (..., J, 3) have y up and
-    are NaN where missing; weights are (..., J).
+    and weighted by the weights of both ends (..., J), if given. Positions [m] (...,
+    J, 3) have y up and are NaN where missing.
     """
     left, right = skeleton.across
     lines = positions[..., left, :] - positions[..., right, :]
-    line_weights = weights[..., left] * weights[..., right]
-    lines = np.where(np.isnan(lines), 0.0, lines * line_weights[..., None])
-    line = lines.sum(axis=-2)
+    known = ~np.isnan(lines)
+    if weights is not None:
+        lines *= (weights[..., left] * weights[..., right])[..., None]
+    line = lines.sum(axis=-2, where=known)
     x, z = line[..., 0], line[..., 2]
     return np.where(np.hypot(x, z) > 1e-6, np.arctan2(-z, x), np.nan)

@@ -24,11 +24,7 @@ from usd_positions import read_usd_positions
 from kinefilter import clean, read_take, write_clip
 from kinefilter.characters import KINECT_V2, InputError, Take, standard_body
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.formats import (
-    read_bvh,
-    read_clip,
-    write_take_csv,
-)
+from kinefilter.pipeline.formats import read_bvh, read_clip, write_take_csv
 from kinefilter.pipeline.formats.sheets import contact_table
 from kinefilter.pipeline.lab.simulation import simulate, write_pairs
 from kinefilter.pipeline.live.messages import format_frame

@@ -186,6 +186,20 @@ told["rigify"] = [*state]
 told["shown"] = windows.shown, windows.timers
 saved("rigify")
 
+metarig = bpy.context.active_object
+metarig.animation_data_clear()
+for bone in metarig.pose.bones:  # Rigify keeps the pose of some
+    bone.matrix_basis = Matrix()
+bpy.ops.pose.rigify_generate()
+(rig,) = {o for o in bpy.data.objects if o.type == "ARMATURE"} - {metarig}
+bpy.ops.object.select_all(action="DESELECT")
+bpy.context.view_layer.objects.active = rig
+refused("controls", filepath=ASKED["short"], onto=True, rig="rigify")
+bpy.data.armatures.remove(metarig.data)
+saved("controls")
+bpy.context.active_object.data.bones["ORG-hand.L"].name = "lost"
+refused("no metarig", filepath=ASKED["short"], onto=True, rig="rigify")
+
 preferences().program = ASKED["slow"]
 operator, windows = begun(ASKED["short"])
 end = time.monotonic() + PATIENCE

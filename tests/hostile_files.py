@@ -23,14 +23,7 @@ from published_layouts import (
 )
 from test_mocap_files import ARM, ARM_MOTION, standing, write_c3d, write_trc
 
-from kinefilter.characters import (
-    CONTACTS,
-    KINECT_V1,
-    KINECT_V2,
-    Clip,
-    State,
-    Take,
-)
+from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, State, Take
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.edits import read_edits

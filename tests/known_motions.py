@@ -75,4 +75,4 @@ def performed(motion: str, skeleton: Skeleton = KINECT_V2, seed: int = 0) -> Tak
 
 def yaw_of(take: Take) -> Array:
     """Return the heading of the trunk [rad], (T,)."""
-    return find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
+    return find_yaw(take.positions, take.skeleton)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from kinefilter.characters import KINECT_V1, State, Take
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.database import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.lab.database_build import (
     BUILTIN_POSTURES,

@@ -30,7 +30,7 @@ from batch_faults import batch, begin, scheduler
 from batch_figures import megabytes_a_file
 from batch_takes import make_takes
 
-from kinefilter.pipeline.batch import crew, task
+from kinefilter.pipeline.batch import run, task
 from kinefilter.pipeline.batch.manifest import Row, read_rows
 from kinefilter.pipeline.batch.plan import Job, find_sources, plan_jobs
 from kinefilter.pipeline.batch.store import store_at
@@ -148,7 +148,7 @@ def sleep_for(address: str, folder: Path) -> None:
 
     # What a batch sends to its workers is found by name, and one process is many here.
     task.clean_file = asleep
-    crew._one_at_a_time = threading.Semaphore(_TOGETHER)  # type: ignore[assignment]
+    run._one_at_a_time = threading.Semaphore(_TOGETHER)  # type: ignore[assignment]
     # Each worker would look at all threads of the process a hundred times a second.
     with dask.config.set({"distributed.worker.profile.enabled": False}):
         asyncio.run(work())

@@ -46,7 +46,7 @@ def backward(take: Take, mended: Take) -> list[float]:
     walks = np.hypot(velocity[:, 0], velocity[:, 2]) > _WALKING
     shares = []
     for one in (take, mended):
-        yaw = find_yaw(one.positions, np.ones(one.state.shape), one.skeleton)
+        yaw = find_yaw(one.positions, one.skeleton)
         off = np.abs(np.angle(np.exp(1j * (course - yaw))))
         shares.append(float((off[walks] > _BACKWARD).mean() * 100.0))
     return shares

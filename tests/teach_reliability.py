@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinefilter.characters import SKELETONS
-from kinefilter.pipeline.lab.scorers.learned_scorer import learned_weights
+from kinefilter.pipeline.lab.scorers import learned_weights
 from kinefilter.pipeline.lab.simulation import pairs_with_props
 
 FOLDER = Path(__file__).parents[1] / "pipeline" / "lab" / "embedded"

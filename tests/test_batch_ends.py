@@ -21,7 +21,7 @@ from batch_faults import begin_worker, scheduler
 from batch_folders import rows_of, table_of
 from hanging import HALF_A_CLIP, done_or_hang
 
-from kinefilter.pipeline.batch import crew
+from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.batch.plan import find_sources, plan_jobs
 from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.batch.store import store_at
@@ -42,7 +42,7 @@ def hanging(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     for name in QUICK:
         (takes / name).write_text("a take")
     tests = str(Path(__file__).parent)
-    monkeypatch.setattr(crew, "clean_file", done_or_hang)
+    monkeypatch.setattr(batch_run, "clean_file", done_or_hang)
     monkeypatch.setattr(sys, "path", [*sys.path, tests])
     monkeypatch.setenv("PYTHONPATH", tests)
     yield takes
@@ -120,10 +120,10 @@ def test_a_limit_that_no_clock_reaches_is_no_limit(
     limit: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("distributed.get_worker", lambda: None)
-    monkeypatch.setattr(crew, "_one_at_a_time", threading.Lock())
+    monkeypatch.setattr(batch_run, "_one_at_a_time", threading.Lock())
     job: Any = SimpleNamespace(limit=limit)
-    assert crew._clean_in_time(lambda _: "a row", job) == "a row"
-    assert not crew._one_at_a_time.locked()
+    assert batch_run._clean_in_time(lambda _: "a row", job) == "a row"
+    assert not batch_run._one_at_a_time.locked()
 
 
 def test_a_longer_take_may_need_longer(tmp_path: Path) -> None:

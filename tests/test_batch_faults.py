@@ -26,7 +26,7 @@ from batch_takes import Here, short_take, write_session
 from dying import clean_or_die
 
 from kinefilter import CleanConfig
-from kinefilter.pipeline.batch import crew
+from kinefilter.pipeline.batch import run as batch_run
 from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
@@ -54,7 +54,7 @@ def test_a_take_that_kills_its_process_fails_and_the_others_are_cleaned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     takes = _takes(tmp_path / "takes", "deadly", "one", "two", "unlucky")
-    monkeypatch.setattr(crew, "clean_file", clean_or_die)
+    monkeypatch.setattr(batch_run, "clean_file", clean_or_die)
     monkeypatch.setattr(sys, "path", [*sys.path, str(Path(__file__).parent)])
     settings = Settings(CleanConfig(method="none", physics=False))
     outcome = clean_files(

@@ -279,6 +279,23 @@ def test_every_bone_of_an_armature_is_where_the_retargeted_motion_has_it(
     np.testing.assert_allclose(offset[[0, 2]], PLACES[name], atol=MILLIMETER)
 
 
+def test_the_controls_of_a_generated_rig_move_it_as_its_metarig_moves(
+    folder: Path, told: dict[str, Any]
+) -> None:
+    assert told["controls"] == ["FINISHED"]
+    assert "rig lacks ORG-hand.L" in told["no metarig"]
+    metarig, rig = seen(folder, "rigify"), seen(folder, "controls")
+    names = rig["names"].tolist()
+    some = [name for name in metarig["names"] if f"ORG-{name}" in names]
+    assert {"spine", "spine.006", "hand.L", "foot.L", "toe.R"} <= {*some}
+    heads = [metarig["names"].tolist().index(name) for name in some]
+    found = rig["heads"][:, [names.index(f"ORG-{name}") for name in some]]
+    away = np.linalg.norm(found - metarig["heads"][:, heads], axis=-1)
+    assert away.max() < MILLIMETER
+    assert rig["colored"][names.index("hand_fk.L")]
+    assert rig["frames"].tolist() == metarig["frames"].tolist()
+
+
 PLACES = {"mixamo": (1.0 / GIANT, -2.0 / GIANT), "rigify": (0.0, 0.0)}  # x and z
 
 

@@ -13,7 +13,7 @@ from scored_takes import average, blind, still_take
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, State, Take, Term, standard_body
-from kinefilter.pipeline.lab.scorers.chiang_scorer import ChiangReliabilityScorer
+from kinefilter.pipeline.lab.scorers import ChiangReliabilityScorer
 from kinefilter.pipeline.reliability import (
     Reference,
     ReliabilityScorer,

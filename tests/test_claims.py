@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from kinefilter.pipeline.lab.studies import (
 )
 from kinefilter.pipeline.lab.studies.cleaned_takes import _LOW_IS_WORSE
 from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
+from kinefilter.pipeline.look.options import Look
 
 ROOT = Path(__file__).parents[1]
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -245,3 +246,5 @@ def test_a_picture_that_cannot_be_made_is_told(
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)
     assert list(folder.iterdir()) == []
+    options = {field.name for field in fields(Look)}
+    assert all(part.keys() <= options for *_, part in output._MIMED)

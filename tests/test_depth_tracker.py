@@ -21,13 +21,6 @@ from kinefilter.pipeline.lab.studies import Options, reproduce
 from kinefilter.pipeline.lab.studies.tracker_studies import error_figures
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
-from kinefilter.scenes.sensor.body_part_forest import (
-    BODY_PARTS,
-    BodyPartForest,
-    depth_differences,
-    parts_of_joints,
-    shipped_forest,
-)
 from kinefilter.scenes.sensor.depth_image import (
     BACKGROUND,
     DepthCamera,
@@ -35,8 +28,16 @@ from kinefilter.scenes.sensor.depth_image import (
     nearest_joints,
     with_noise,
 )
-from kinefilter.scenes.sensor.depth_tracker import hold_inferred, propose
-from kinefilter.scenes.sensor.ray_casting import PosedBody
+from kinefilter.scenes.sensor.depth_tracker import (
+    BODY_PARTS,
+    BodyPartForest,
+    depth_differences,
+    hold_inferred,
+    parts_of_joints,
+    propose,
+    shipped_forest,
+)
+from kinefilter.scenes.sensor.visibility import PosedBody
 
 Array = NDArray[np.float64]
 CMU = Path("../shared/data/mocap/cmu")

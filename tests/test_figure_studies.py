@@ -11,12 +11,16 @@ from real_data import DATA, paired, recorded
 from kinefilter.characters import KINECT_V1, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
-from kinefilter.pipeline.lab.simulation import simulate
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.pipeline.lab.studies import study_takes as takes
 from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
 from kinefilter.pipeline.lab.studies.detection import _near
 from kinefilter.pipeline.lab.studies.doubtful_limbs import _means, _raw
-from kinefilter.pipeline.lab.studies.held_box import _figures
+from kinefilter.pipeline.lab.studies.held_props import (
+    _figures,
+    cleaned_in,
+    count_dribbles,
+)
 from kinefilter.pipeline.lab.studies.method_comparison import _study
 from kinefilter.pipeline.lab.studies.study import Options
 
@@ -37,9 +41,17 @@ def test_a_clip_is_near_unless_a_joint_is_far_off_for_long(
 def test_a_box_rises_only_if_it_is_held() -> None:
     pair = simulate("box", "lift_box", seed=3)
     take = replace(pair.take, positions=pair.truth)
-    held, left = (_figures(take, (0.0, 0.25), holds=h)["peak"] for h in (True, False))
+    results = (cleaned_in("box", take, holds=holds) for holds in (True, False))
+    held, left = (_figures(result, (0.0, 0.25))["peak"] for result in results)
     assert held > 0.6
     assert left < 0.3
+
+
+def test_dribbles_are_bounces_from_hand_to_hand() -> None:
+    take = truth_of(simulate("basketball", "dribble", seed=7))
+    held, left = (cleaned_in("basketball", take, holds=h) for h in (True, False))
+    assert count_dribbles(held) >= 5
+    assert count_dribbles(left) == 0
 
 
 def test_errors_are_means_over_people_and_the_worst_person_counts_too() -> None:

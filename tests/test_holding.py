@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kinefilter import CleanConfig, CleanResult, clean
+from kinefilter import Avatar, CleanConfig, CleanResult, clean
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.rotations import matrix_from_wxyz
-from kinefilter.pipeline.lab.simulation import simulate
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
+from kinefilter.pipeline.physics.dribble import _push_speed
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.reliability import measure_body
 from kinefilter.retarget import BoneLengths, rotations_from_positions
@@ -260,3 +261,36 @@ def test_the_weight_of_what_is_held_is_no_external_force(tmp_path: Path) -> None
     pulls = character.data.actuator_force[: 3 * len(KINECT_V1)].reshape(-1, 3)
     wanted = np.linalg.norm(pulls.sum(axis=0) - [0.0, 0.0, pressed])
     assert abs(character.external_force - wanted / (BODY.mass * GRAVITY)) < 0.01
+
+
+@pytest.mark.parametrize("restitution", [0.65, 0.75, 0.9])
+@pytest.mark.parametrize("seconds", [0.4, 0.6])
+def test_a_pushed_ball_is_back_at_the_hand_in_time(
+    restitution: float, seconds: float
+) -> None:
+    low, high = 0.6, 0.7
+    speed = _push_speed(low, high, seconds, restitution)
+    fall = (np.sqrt(speed**2 + 2.0 * GRAVITY * low) - speed) / GRAVITY
+    up = restitution * (speed + GRAVITY * fall)
+    rise = np.linspace(0.0, up / GRAVITY, 2000)  # to the top of its flight
+    height = up * rise - 0.5 * GRAVITY * rise**2
+    assert height[-1] > high
+    back = fall + rise[np.argmax(height > high)]
+    # It may be back early if a slower push would not take it up to the hand.
+    late = back - seconds
+    assert abs(late) < 0.02 or (late < 0.0 and height[-1] < 1.06 * high)
+
+
+def test_what_a_hand_gives_a_ball_the_trunk_gives_back() -> None:
+    take = truth_of(simulate("basketball", "dribble", seed=3)).at(slice(180))
+    avatar = Avatar(measure_body(take), "basketball")
+    character, pushes = avatar.physics, 0
+    for seconds, joints, state in zip(
+        take.time, take.positions, take.state, strict=True
+    ):
+        avatar.step(joints, seconds, state)
+        given = character.data.body("ball").xfrc_applied[:3]
+        returned = character.data.xfrc_applied[character.root_body, :3]
+        np.testing.assert_allclose(returned, -given, atol=1e-9)
+        pushes += bool(given.any())
+    assert pushes > 10

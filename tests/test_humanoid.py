@@ -18,12 +18,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.anthropometry import joint_masses, joint_range
-from kinefilter.characters.humanoid import (
-    PULLS,
-    build_humanoid,
-    from_mujoco,
-    to_mujoco,
-)
+from kinefilter.characters.humanoid import PULLS, build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import (
     about_y,
     inverse,

@@ -29,7 +29,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.evaluate import reliability_auc
-from kinefilter.pipeline.lab.scorers.learned_scorer import (
+from kinefilter.pipeline.lab.scorers import (
     TERMS,
     ClueWeights,
     LearnedReliabilityScorer,

@@ -87,9 +87,7 @@ def test_scripted_postures_are_on_the_standard_body_facing_forward(
     shipped: PostureDatabase,
 ) -> None:
     assert_standard(shipped)
-    yaw = find_yaw(
-        shipped.positions, np.ones(shipped.positions.shape[:2]), shipped.skeleton
-    )
+    yaw = find_yaw(shipped.positions, shipped.skeleton)
     # Their yaw is found on their own body, where hips and shoulders differ in width.
     np.testing.assert_allclose(yaw, 0.0, atol=0.02)
 
@@ -228,7 +226,7 @@ def test_joints_at_the_same_place_are_no_reason_to_warn(tmp_path: Path) -> None:
 
 def test_the_heading_of_a_bvh_does_not_stay(tmp_path: Path) -> None:
     base = database_from_mocap([write_text(tmp_path / "a.bvh", small_bvh())], KINECT_V1)
-    yaw = find_yaw(base.positions, np.ones((40, 20)), KINECT_V1)
+    yaw = find_yaw(base.positions, KINECT_V1)
     np.testing.assert_allclose(yaw, 0.0, atol=1e-5)
 
 

@@ -11,9 +11,15 @@ from real_data import DATA
 from sklearn.metrics import roc_auc_score
 
 from kinefilter.characters import KINECT_V2, Take, standard_body
-from kinefilter.pipeline.lab import misplaced_lessons
-from kinefilter.pipeline.lab.misplaced import FEATURES, describe_limbs, misplaced
-from kinefilter.pipeline.lab.misplaced_lessons import fit, learn_misplaced, lessons
+from kinefilter.pipeline.lab import misplaced as module
+from kinefilter.pipeline.lab.misplaced import (
+    FEATURES,
+    describe_limbs,
+    fit,
+    learn_misplaced,
+    lessons,
+    misplaced,
+)
 from kinefilter.pipeline.lab.view_sessions import find_sessions
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import Sensor, in_sensor_frame
@@ -66,7 +72,7 @@ def test_people_left_out_are_told_by_what_others_teach(
     """And the weights that are shipped are those that the sessions give."""
     sessions = find_sessions([SESSIONS / "*_90deg_*"], None)
     taught = lessons(sessions)
-    monkeypatch.setattr(misplaced_lessons, "lessons", lambda _: taught)
+    monkeypatch.setattr(module, "lessons", lambda _: taught)
     learn_misplaced(sessions, tmp_path / "weights.toml")
     shipped = Path(__file__).parents[1] / "pipeline" / "lab" / "misplaced.toml"
     ours, again = (

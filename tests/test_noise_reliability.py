@@ -17,7 +17,7 @@ from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, Skeleton, State, Take, Term, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.accuracy import Accuracy
-from kinefilter.pipeline.lab.scorers.noise_scorer import (
+from kinefilter.pipeline.lab.scorers import (
     DOUBTFUL_ERROR,
     ERROR_PER_NOISE,
     NoiseReliabilityScorer,

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
-from kinefilter.pipeline.database import posture_database
-from kinefilter.pipeline.database.posture_database import PostureIndex
+from kinefilter.pipeline import database
+from kinefilter.pipeline.database import PostureIndex
 
 Array = NDArray[np.float64]
 
@@ -35,9 +35,9 @@ def brute_force(
 @pytest.fixture
 def blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Look at few postures as an index looks at many."""
-    monkeypatch.setattr(posture_database, "_AT_ONCE", 10)
-    monkeypatch.setattr(posture_database, "_BLOCK", 8)
-    monkeypatch.setattr(posture_database, "_FIRST", 2)
+    monkeypatch.setattr(database, "_AT_ONCE", 10)
+    monkeypatch.setattr(database, "_BLOCK", 8)
+    monkeypatch.setattr(database, "_FIRST", 2)
 
 
 def test_a_whole_database_is_in_order_of_its_distances() -> None:

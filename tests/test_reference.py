@@ -18,10 +18,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import IDENTITY, about_y, rotate
-from kinefilter.pipeline.reliability import (
-    measure_reference,
-    segment_lengths,
-)
+from kinefilter.pipeline.reliability import measure_reference, segment_lengths
 from kinefilter.scenes.sensor import sample_take
 
 

@@ -19,12 +19,7 @@ from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
 from kinefilter.pipeline.look.comparison import raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
-from kinefilter.pipeline.look.video import (
-    PART,
-    output_paths,
-    shown_frames,
-    stretches,
-)
+from kinefilter.pipeline.look.video import PART, output_paths, shown_frames, stretches
 from kinefilter.scenes.library import perform
 
 ASPECT = 16 / 9
@@ -180,7 +175,7 @@ def test_the_raw_take_is_put_where_cleaning_put_it(
     expected = clip.positions.copy()
     moved = found[10:20, 3]
     expected[10:20, 3] = moved
-    assert found == pytest.approx(expected, abs=1e-6)
+    assert found == pytest.approx(expected, abs=1e-4)
     assert np.linalg.norm(moved - clip.positions[10:20, 3], axis=1).min() > 1.0
 
 
@@ -224,7 +219,7 @@ def test_a_take_of_another_clip_is_not_drawn_beside_it(
         clip, moved_by_correction=still, moved_by_physics=still, tilt=0.0, floor=0.0
     )
     write_take_csv(make_clip(20, seed=1), tmp_path / "take.csv")
-    with pytest.raises(InputError, match=r"--compare .*take\.csv.* cm or more from"):
+    with pytest.raises(InputError, match=r"--compare .*take\.csv.* not where the clip"):
         raw_positions(tmp_path / "take.csv", clip, clip.time)
 
 

@@ -16,10 +16,7 @@ from rig_targets import in_usd, up_axis, write_target
 from usd_positions import read_usd_positions
 
 from kinefilter.characters import KINECT_V1, Clip, InputError, Prop
-from kinefilter.characters.rotations import (
-    about_y,
-    rotate,
-)
+from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import (
     Export,

@@ -155,9 +155,7 @@ def test_mocap_is_performed_before_sensors(make_clip: MakeClip, tmp_path: Path) 
     np.testing.assert_allclose(found.body.lengths, act.body.lengths, atol=0.01)
     hip = KINECT_V2.hips[0]
     postures = [x.positions - x.positions[:, [hip]] for x in (found, act)]
-    facing = HeadingFrame(
-        np.zeros(3), find_yaw(act.positions[0], np.ones(25), KINECT_V2)
-    )
+    facing = HeadingFrame(np.zeros(3), find_yaw(act.positions[0], KINECT_V2))
     away = np.linalg.norm(
         postures[0] - facing.remove(postures[1])[: len(found)], axis=2
     )

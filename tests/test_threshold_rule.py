@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from kinefilter.pipeline.database import threshold_rule
-from kinefilter.pipeline.database.threshold_rule import filter_postures, filter_to_count
+from kinefilter.pipeline import database
+from kinefilter.pipeline.database import filter_postures, filter_to_count
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def test_kept_postures_differ_and_dropped_ones_are_near_a_kept_one(
     positions = np.random.default_rng(seed).normal(0.0, 0.3, (count, 20, 3))
     positions[count // 2 :] = positions[: count - count // 2] + 1e-3
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threshold_rule, "_BLOCK", block)
+        patch.setattr(database, "_COMPARED", block)
         kept = filter_postures(positions, threshold)
     assert kept.tolist() == one_by_one(positions, threshold)
     differences = squared_differences(positions)
@@ -90,14 +90,14 @@ def test_only_the_postures_asked_for_may_stay() -> None:
 def test_a_threshold_that_keeps_too_many_is_given_up_at_once() -> None:
     positions = walk(5000)
     kept = filter_postures(positions, 0.0, most=100)
-    assert 100 < len(kept) <= 100 + threshold_rule._BLOCK
+    assert 100 < len(kept) <= 100 + database._COMPARED
     np.testing.assert_array_equal(kept, np.arange(len(kept)))
 
 
 def test_giving_up_thresholds_leaves_the_count_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(threshold_rule, "_TOO_MANY", 0)
+    monkeypatch.setattr(database, "_TOO_MANY", 0)
     # In sixty dimensions all are about as far apart: from a threshold that keeps few,
     # the next keeps far too many.
     positions = np.random.default_rng(0).normal(size=(3000, 20, 3))

@@ -13,6 +13,7 @@ from real_data import PAIRS, paired
 
 from kinefilter import clean
 from kinefilter.characters import KINECT_V1, Clip, InputError, Take
+from kinefilter.characters.skeleton import LIMB_PARTS
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import read_clip, write_clip
 from kinefilter.pipeline.lab.accuracy import Accuracy, Tally
@@ -22,7 +23,7 @@ from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLe
 from kinefilter.pipeline.lab.training import training_set
 from kinefilter.pipeline.lab.uncertainty_lessons import Rows, fit, lessons, within
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.uncertainty import HIDDEN, PARTS, SEEN
+from kinefilter.pipeline.uncertainty import HIDDEN, SEEN
 from kinefilter.scenes.sensor import sample_take
 
 Array = NDArray[np.float64]
@@ -100,7 +101,7 @@ def test_two_frames_have_an_uncertainty() -> None:
 def made_up(person: str, seed: int, count: int = 20_000) -> Rows:
     """Return errors that are Student's t, whose scale features tell."""
     rng = np.random.default_rng(seed)
-    joints = 2 * len(PARTS)
+    joints = 2 * len(LIMB_PARTS)
     seen = rng.normal(size=(count, joints, len(SEEN)))
     gone = rng.normal(size=(count, joints, len(HIDDEN)))
     hidden = rng.random((count, joints)) < 0.5
@@ -114,7 +115,7 @@ def test_the_scale_of_errors_is_found_again() -> None:
     rows = made_up("a", 1)
     weights = fit([rows])
     for table, bias, k, scale in (("seen", -3.0, 1, 0.3), ("hidden", -2.0, 2, 0.4)):
-        for part in PARTS[1:3]:
+        for part in LIMB_PARTS[1:3]:
             found = np.array(weights[table][part])
             expected = np.zeros(len(found))
             expected[0], expected[k] = bias + np.log(1.25), scale

@@ -17,14 +17,19 @@ from hypothesis import strategies as st
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton
 from kinefilter.characters.arrays import Flags
-from kinefilter.pipeline.edits import FEET, Edit, EditsFile, read_edits, with_contacts
+from kinefilter.pipeline.edits import (
+    FEET,
+    Edit,
+    EditHistory,
+    EditsFile,
+    read_edits,
+    with_contacts,
+)
 from kinefilter.pipeline.failures import Failure, FailureKind
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.look.comparison import read_comparison, same_times
 from kinefilter.pipeline.look.drawing import Drawing
-from kinefilter.pipeline.look.edit_history import EditHistory
-from kinefilter.pipeline.look.playhead import Playback
-from kinefilter.pipeline.look.timelines import Curves, timeline_html
+from kinefilter.pipeline.look.timelines import Curves, Playback, timeline_html
 from kinefilter.pipeline.look.viewer import Viewer, status_html
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.scenes import SAMPLE

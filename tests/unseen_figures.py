@@ -64,7 +64,7 @@ def hanging(positions: Array, skeleton: Skeleton, joints: list[int]) -> Array:
 def held(
     positions: Array, skeleton: Skeleton, joints: list[int], frames: slice
 ) -> Array:
-    yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
+    yaw = find_yaw(positions, skeleton)
     heading = HeadingFrame(positions[:, skeleton.root], yaw)
     found = heading.remove(positions)
     nearest = frames.start - 1 if frames.start else frames.stop

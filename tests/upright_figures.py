@@ -5,7 +5,7 @@
 Recordings are turned by known angles. Told is by how many degrees the vertical is then
 off what it was in the recording: where nothing is done, where every take is turned by
 what is measured in it, with the limits as chosen on half of the people, and with those
-in ``pipeline/target/upright.py``. Chosen is what leaves the fewest degrees without
+in ``pipeline/upright.py``. Chosen is what leaves the fewest degrees without
 turning any take as it was recorded; but arms that hang are asked for whatever it costs,
 as nobody in the recordings is on their hands. For pairs also E of the clip [cm],
 against mocap.
@@ -38,7 +38,7 @@ from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.target import upright
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.target.upright import Turn
+from kinefilter.pipeline.upright import Turn
 
 Array = NDArray[np.float64]
 UP = np.array([0.0, 1.0, 0.0])

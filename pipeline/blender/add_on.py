@@ -112,7 +112,8 @@ class _Options:
     onto: bpy.props.BoolProperty(
         name="Onto Active Armature",
         description="Retarget the motion to the active armature instead of creating a "
-        "new one. Its bones must have the names of the rig",
+        "new one. Its bones must have the names of the rig, or it is a rig that Rigify "
+        "generated, whose limbs are switched to FK",
     )
     rate: bpy.props.EnumProperty(
         name="Frame Rate",

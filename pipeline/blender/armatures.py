@@ -20,6 +20,18 @@ from mathutils import Matrix
 _Y_UP = Matrix.Rotation(-math.pi / 2.0, 4, "X")  # from Blender's z up
 _NEAR = 0.005  # frames; time stamps have single precision
 _ROOT_LENGTH = 0.1  # m, of the root bone as it is drawn
+_LIMBS = ("upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
+_TORSO = "torso"
+_CONTROLS = {
+    _TORSO: "spine.001",
+    "spine_fk": "spine",
+    **{f"spine_fk.{k:03}": f"spine.{k:03}" for k in (1, 2, 3)},
+    "neck": "spine.004",
+    "head": "spine.006",
+    **{f"shoulder.{side}": f"shoulder.{side}" for side in "LR"},
+    **{f"{limb}_fk.{side}": f"{limb}.{side}" for side in "LR" for limb in _LIMBS},
+}
+"""Controls of a rig that Rigify generated, and the bones of its metarig they move."""
 
 
 def extras(clip: Path) -> dict[str, Any]:
@@ -30,7 +42,16 @@ def extras(clip: Path) -> dict[str, Any]:
 
 
 def rest_pose(armature: Any) -> str:
-    """Return the rest pose of an armature's largest tree of bones as BVH, y up [m]."""
+    """Return the rest pose of an armature's largest tree of bones as BVH, y up [m].
+
+    That of a rig which Rigify generated is its metarig's.
+    """
+    if is_generated(armature):
+        metarig = metarig_of(armature)
+        text = rest_pose(metarig)
+        bpy.data.armatures.remove(metarig.data)
+        bpy.context.view_layer.objects.active = armature
+        return text
     roots = [bone for bone in armature.data.bones if bone.parent is None]
     root = max(roots, key=lambda bone: len(bone.children_recursive))
     turn, numbers = (_Y_UP @ armature.matrix_world).to_3x3(), []
@@ -110,8 +131,11 @@ def _points(curve: Any) -> dict[str, Any]:
 def transferred(source: Any, target: Any) -> Any:
     """Move the action of an armature to one with the same bones; return that one.
 
-    Their rest poses may differ in axes and scale. The source is deleted.
+    Their rest poses may differ in axes and scale. The source is deleted. A rig that
+    Rigify generated gets the motion of its metarig on its controls.
     """
+    if is_generated(target):
+        return onto_controls(transferred(source, metarig_of(target)), target)
     scale = target.matrix_world.median_scale
     lengths = [_length(armature, source.data.bones) for armature in (target, source)]
     ratio = lengths[0] / lengths[1]
@@ -158,6 +182,101 @@ def _turn(curves: dict[Any, Any], path: str, axes: Any, matrix: Any) -> None:
         curve.update()
 
 
+def is_generated(armature: Any) -> bool:
+    """Return True for a rig that Rigify generated from a metarig."""
+    return "rig_id" in armature.data and "ORG-spine" in armature.data.bones
+
+
+def metarig_of(rig: Any) -> Any:
+    """Return a new armature with the bones of the metarig that a rig comes from.
+
+    Raises ValueError if that is not the Human metarig.
+    """
+    names = [f"spine.{k:03}".removesuffix(".000") for k in range(7)]
+    names += [name for name in _CONTROLS.values() if name not in names]
+    lacks = [f"ORG-{name}" for name in names if f"ORG-{name}" not in rig.data.bones]
+    lacks += [name for name in _CONTROLS if name not in rig.data.bones]
+    if lacks:
+        raise ValueError(f"{rig.name} lacks {lacks[0]}; generate it from Human metarig")
+    armature = bpy.data.objects.new(rig.name, bpy.data.armatures.new(rig.name))
+    bpy.context.scene.collection.objects.link(armature)
+    armature.matrix_world = rig.matrix_world
+    bones = _edited(armature)
+    for before, name in zip([None, *names], names, strict=False):
+        bone = original = rig.data.bones[f"ORG-{name}"]
+        edited = _copied(bones, name, original)
+        while (bone := bone.parent) and bone.name.removeprefix("ORG-") not in bones:
+            pass
+        parent = bone.name.removeprefix("ORG-") if bone else before
+        edited.parent = bones[parent] if parent else None
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return armature
+
+
+def _edited(armature: Any) -> Any:
+    """Return the bones of an armature in edit mode."""
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    return armature.data.edit_bones
+
+
+def _copied(bones: Any, name: str, bone: Any) -> Any:
+    edited = bones.new(name)
+    edited.head, edited.tail = bone.head_local, bone.tail_local
+    edited.matrix = bone.matrix_local
+    return edited
+
+
+def onto_controls(metarig: Any, rig: Any) -> Any:
+    """Move the action of a metarig to the controls of its rig; return the rig.
+
+    The limbs are switched from IK to FK. The metarig is deleted.
+    """
+    bones = _edited(metarig)
+    for control, name in _CONTROLS.items():
+        axes = _copied(bones, f"to {control}", rig.data.bones[control])
+        axes.parent = bones[name]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    first, last = metarig.animation_data.action.frame_range
+    if rig.animation_data is not None and rig.animation_data.action is not None:
+        rig.animation_data.action.use_fake_user = True
+        rig.animation_data.action = None
+    bpy.ops.object.select_all(action="DESELECT")
+    rig.select_set(True)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="POSE")
+    bpy.ops.pose.select_all(action="DESELECT")
+    for side in "LR":
+        for limb in ("upper_arm", "thigh"):
+            rig.pose.bones[f"{limb}_parent.{side}"]["IK_FK"] = 1.0
+    following = []
+    for control in _CONTROLS:
+        bone = rig.pose.bones[control]
+        kind = "COPY_TRANSFORMS" if control == _TORSO else "COPY_ROTATION"
+        follows = bone.constraints.new(kind)
+        follows.target, follows.subtarget = metarig, f"to {control}"
+        following.append((bone, follows))
+        selects = bone if hasattr(bone, "select") else bone.bone  # before Blender 5
+        selects.select = True
+    bpy.ops.nla.bake(
+        frame_start=round(first),
+        frame_end=round(last),
+        only_selected=True,
+        visual_keying=True,
+        use_current_action=True,
+        bake_types={"POSE"},
+        channel_types={"LOCATION", "ROTATION"},
+    )
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for bone, follows in following:
+        bone.constraints.remove(follows)
+    bpy.data.actions.remove(metarig.animation_data.action)
+    bpy.data.armatures.remove(metarig.data)
+    return rig
+
+
 def show_reliability(
     armature: Any, extras: dict[str, Any], fps: float, colors: Sequence[Sequence[float]]
 ) -> None:
@@ -168,7 +287,10 @@ def show_reliability(
     points = np.empty((len(shares), 2), dtype=np.float32)
     points[:, 0] = (np.array(extras["time"]) - extras["time"][0]) * fps
     linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"]
-    for name, joint in extras["turnedBy"].items():
+    turned = extras["turnedBy"]
+    if is_generated(armature):
+        turned = {c: turned[name] for c, name in _CONTROLS.items() if name in turned}
+    for name, joint in turned.items():
         bone, points[:, 1] = armature.pose.bones[name], shares[:, joint]
         mean = float(shares[:, joint].mean())
         bone["reliability"] = mean

@@ -10,10 +10,11 @@ from scipy.special import ndtri
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags, Indices, Singles
+from kinefilter.characters.skeleton import LIMB_PARTS
 
 _APART = 8.0 / 30.0  # s between a frame and those that describe its movement
 _MOVEMENT, _LENGTHS, _TOWARD = 0.5, 2.0, 0.6  # weights, against 1 for positions [m]
-_LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle", "Foot")
+_LIMBS = (*LIMB_PARTS, "Foot")
 _HIDDEN = ("Elbow", "Wrist", "Knee", "Ankle", "Foot")  # by the body, from the side
 # Arm, leg and trunk: the known joints that are corrected (left or in the middle), and
 # those that describe the part. Known joints are root, spine, girdle and head, then left

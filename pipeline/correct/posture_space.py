@@ -15,8 +15,7 @@ from scipy.linalg.lapack import dposv, dsyevd
 
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.database import PostureDatabase, filter_to_count
 
 _STEPS = 8
 _CONVERGED = 1e-3  # latent step [m] of all joints together, too small to see

@@ -9,11 +9,11 @@ plausible show only later, when cleaning has to move a limb far.
 """
 
 from .bodies import ImpossibleBodies, stray_joints
-from .displaced import find_displaced
 from .gross import (
     Failure,
     FailureKind,
     describe_failures,
+    find_displaced,
     find_failures,
     lost_joints,
     repaired,

@@ -7,11 +7,14 @@ chosen that agree best with that, and with those of other sensors, without joint
 leap from one side to the other: the cheapest path over all frames (Viterbi 1967), or,
 live, the cheapest path so far. A single sensor may have arms and legs change sides at
 different times.
+
+A sensor may also exchange the left and right of limbs alone for a while: from a frame
+to the next, both leap to each other's places, from some joint outward, and later back.
 """
 
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
@@ -21,7 +24,6 @@ from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.retarget import find_yaw
 
-from .exchanged import with_joints
 from .trunk import steadied
 
 # Chosen on simulated people (seeds 40 to 51 and 140 to 145) and on p00 to p08 of
@@ -41,6 +43,19 @@ _APART = 0.1  # cost of each frame in which only arms or only legs are swapped
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
 _LEAP = 3.0  # weight of the distance that they move between twice ``_AROUND``
 _AROUND = 0.1  # s before and after a change
+# Of limbs alone: chosen on p00 to p08 of two-kinects, with limbs exchanged in them, and
+# on s02, s03 and s04 of UI-PRMD.
+_ACROSS = 0.1  # m that joints leap to the other side at least
+_NEARER = 0.6  # share of that by which they miss the other side's place at most
+
+EXCHANGED = {
+    "arms from the shoulders": ("Hip", "Shoulder"),
+    "arms from the elbows": ("Shoulder", "Elbow"),
+    "arms from the wrists": ("Elbow", "Wrist"),
+    "legs from the knees": ("Hip", "Knee"),
+    "legs from the ankles": ("Knee", "Ankle"),
+}
+"""Parts that may be exchanged: the last joint that stays, and the first that leaps."""
 
 
 class CheapestPath:
@@ -130,7 +145,7 @@ def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     the other way. The sign is right in 98 % of the frames of people who walk forward
     and in 76 % of people who walk backward (p10 to p18 of two-kinects).
     """
-    forward = _direction(_yaw(seen, skeleton))
+    forward = _direction(find_yaw(seen, skeleton))
     trunk = seen[:, skeleton.girdle] - seen[:, skeleton.root]
     upright = trunk[:, 1] / (np.linalg.norm(trunk, axis=1) + 1e-9)
 
@@ -147,12 +162,6 @@ def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     total = np.nan_to_num(bends).sum(axis=0)
     sure = np.tanh(np.nan_to_num(np.vecdot(total, forward)) / _BEND)
     return forward, np.asarray(sure * np.clip(np.nan_to_num(upright), 0.0, 1.0))
-
-
-def _yaw(positions: Array, skeleton: Skeleton) -> Array:
-    """Return headings [rad] by hips and shoulders (..., J, 3), NaN without any."""
-    seen = np.isfinite(positions[..., 0]).astype(float)
-    return find_yaw(positions, seen, skeleton)
 
 
 def _direction(yaw: Array) -> Array:
@@ -255,7 +264,7 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     changes = np.flatnonzero(np.diff(frames)) + 1
     positions = steadied(mended, changes.tolist()).positions.copy()
     some = frames | legs
-    forward = _direction(_yaw(positions, skeleton)[some])
+    forward = _direction(find_yaw(positions, skeleton)[some])
     for foot in skeleton.sides("Foot"):
         toes, ankle = positions[some, foot], positions[some, skeleton.parents[foot]]
         back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
@@ -267,3 +276,61 @@ def _below(skeleton: Skeleton, name: str) -> list[int]:
     """Return the joints of both limbs that begin at joints of a name, without these."""
     ends = skeleton.sides(name)
     return [j for end in ends for j in skeleton.descendants(end) if j not in ends]
+
+
+def exchanged_joints(skeleton: Skeleton, part: str) -> Indices:
+    """Return the joints of a part of EXCHANGED, on both sides."""
+    first = skeleton.sides(EXCHANGED[part][1])
+    return np.array([j for k in first for j in (k, *skeleton.descendants(k))])
+
+
+def exchanged_frames(take: Take, part: str) -> Flags:
+    """Return where a take has left and right of a part of EXCHANGED exchanged, (T,).
+
+    Between two leaps, or up to an end of the take, the limbs are attached crosswise.
+    """
+    skeleton = take.skeleton
+    joints = exchanged_joints(skeleton, part)
+    last, first = (np.array(skeleton.sides(name)) for name in EXCHANGED[part])
+    paired = np.flatnonzero(skeleton.mirror != np.arange(len(skeleton)))
+    rest = np.setdiff1d(paired, joints)
+    leap = np.ones(len(take) - 1, dtype=bool)
+    for some in (first, joints):
+        same, other = _moved(take, some)
+        leap &= (same > _ACROSS) & (other < _NEARER * same)
+    for some in (last, rest):
+        same, other = _moved(take, some)
+        leap &= same < other
+    straight, crosswise = (
+        np.linalg.norm(take.positions[:, last] - ends, axis=2).sum(axis=1)
+        for ends in (take.positions[:, first], take.positions[:, first[::-1]])
+    )
+    frames = np.zeros(len(take), dtype=bool)
+    ends = (np.flatnonzero(leap) + 1).tolist()
+    for begin, end in pairwise([0, *ends, len(take)] if ends else ()):
+        frames[begin:end] = np.mean(crosswise[begin:end] < straight[begin:end]) > 0.5
+    return frames
+
+
+def _moved(take: Take, joints: Indices) -> tuple[Array, Array]:
+    """Return how far joints are from where they and the other side were before [m]."""
+    seen, before = take.positions, (joints, take.skeleton.mirror[joints])
+    ways = [np.linalg.norm(seen[1:, joints] - seen[:-1, k], axis=2) for k in before]
+    known = np.asarray(np.isfinite(ways).all(axis=0))
+    count = np.where(known.any(axis=1), known.sum(axis=1), np.nan)
+    same, other = (np.where(known, way, 0.0).sum(axis=1) / count for way in ways)
+    return same, other
+
+
+def put_back(take: Take, part: str, frames: slice) -> Take:
+    """Return a take with left and right of a part of EXCHANGED put back in frames."""
+    joints = exchanged_joints(take.skeleton, part)
+    flags = np.isin(np.arange(len(take.skeleton)), joints)
+    return with_joints(take, take.swapped(frames), flags)
+
+
+def with_joints(take: Take, other: Take, joints: Flags) -> Take:
+    """Return a take with flagged joints, (J,) or (T, J), from another one."""
+    positions = np.where(joints[..., None], other.positions, take.positions)
+    state = np.where(joints, other.state, take.state)
+    return replace(take, positions=positions, state=state)

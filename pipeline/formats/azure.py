@@ -128,7 +128,7 @@ def _faces_ahead(take: Take) -> bool:
     """Return whether the face looks where the chest faces in most frames, if known."""
     if take.face is None:
         return True
-    yaw = find_yaw(take.positions, np.ones(take.state.shape), take.skeleton)
+    yaw = find_yaw(take.positions, take.skeleton)
     apart = np.arctan2(take.face[:, 0], take.face[:, 2]) - yaw
     known = np.abs(wrapped(apart[np.isfinite(apart)]))
     return not len(known) or float(np.median(known)) < _ASIDE

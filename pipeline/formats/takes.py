@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kinefilter.characters import InputError, Take
 from kinefilter.characters.arrays import check_choice
-from kinefilter.pipeline.target.upright import with_y_up
+from kinefilter.pipeline.upright import with_y_up
 
 from .files import AnyPath, beginning, check_file
 from .recording import Mocap, Recording, at_rate

@@ -8,11 +8,10 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.skeleton import SIDES
+from kinefilter.characters.skeleton import LIMB_PARTS, SIDES
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake
 
-LIMB_PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 """The scored joints, which mocap and Kinect define alike, at least in principle."""
 

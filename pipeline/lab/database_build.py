@@ -9,8 +9,7 @@ import numpy as np
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
-from kinefilter.pipeline.database import PostureDatabase
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.database import PostureDatabase, filter_to_count
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.pairs import PairedTake
@@ -208,7 +207,7 @@ def whole_frames(positions: Array) -> Flags:
 def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
     """Return rotations relative to a T-pose in the first frame; None without one."""
     skeleton = body.skeleton
-    heading = about_y(find_yaw(first, np.ones(len(skeleton)), skeleton))
+    heading = about_y(find_yaw(first, skeleton))
     parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]
     limbs = np.flatnonzero(parts)
     bones = first[limbs] - first[np.array(skeleton.parents)[limbs]]

@@ -72,7 +72,7 @@ def simple_guesses(
     frames beside the gap are smoothed with those in it. ``positions`` [m] have nothing
     hidden, shape (T, J, 3).
     """
-    yaw = find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
+    yaw = find_yaw(positions, skeleton)
     frame = HeadingFrame(positions[:, skeleton.root], yaw)
     facing = frame.remove(positions)
     guessed = {name: facing.copy() for name in SIMPLE}

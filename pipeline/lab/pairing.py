@@ -1,8 +1,8 @@
 """Pairs Kinect takes with marker mocap of the same movement.
 
-Each has its own clock, frame rate and axes. First the lag is found (``lags``), then one
-rigid transform from the mocap's joints to the take's. All takes of a session share it,
-and the clock offset if their lags agree.
+Each has its own clock, frame rate and axes. First the lag is found, then one rigid
+transform from the mocap's joints to the take's. All takes of a session share it, and
+the clock offset if their lags agree.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.formats.recording import Mocap
-from kinefilter.pipeline.merge.lag import Clock, Spline
+from kinefilter.pipeline.merge.alignment import TwoTakes
+from kinefilter.pipeline.merge.lag import Clock, Spline, best_lag, distances, refine_lag
 from kinefilter.pipeline.merge.rigid import SIGMA, Placement, placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 from .accuracy import LIMBS, mean_of_known
-from .lags import SHORTEST_FOR_DRIFT, best_lag, distances, find_drift, refine_lag
 from .marker_sets import MarkerSet, joint_centers
 
 EXPLAINED = 0.55
@@ -35,6 +35,7 @@ another person's of the same, and 32 % with another repetition
 (``tests/pairing_figures.py``)."""
 
 _FEWEST_JOINTS = 6
+_SHORTEST_FOR_DRIFT = 40.0  # s: a clock gains less than a tenth of a frame in that
 _SHORTEST = 1.0  # s that both recordings must have in common
 _SHARE = 0.5  # of the shorter recording that must overlap the other
 _ANKLE = 0.06  # m up the shank, where a Kinect places it; from s02, s03 and s04
@@ -188,9 +189,11 @@ def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
             f"{both}: at no lag do both have joint positions for {common_time:.2g} s; "
             "give recordings of the same time"
         )
-    clock = Clock(float(take.time[0]), lag.seconds)
-    if length >= SHORTEST_FOR_DRIFT:
-        clock = find_drift(apart[0], apart[1], clock) or clock
+    clock = Clock(float(take.time[0]), lag)
+    if length >= _SHORTEST_FOR_DRIFT:
+        state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+        two = TwoTakes(take, Take(time, positions, state, skeleton, joints.source))
+        clock = two.find_drift(clock, two.place(clock)[0])
     else:
         notes.append(f"{length:.1f} s is too short to tell whether the clocks drift")
     clock = refine_lag(*splines, clock)

@@ -21,11 +21,10 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
 from kinefilter.pipeline.formats.files import as_path, new_text
-from kinefilter.pipeline.look.comparison import leveled_to_clip
+from kinefilter.pipeline.look.comparison import laid_onto_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.page import facing, millimeters, packed, write_page
 from kinefilter.pipeline.progress import Progress, over, silent
-from kinefilter.pipeline.target.floor import leveled
 
 HIGHEST = 9  # best grade; the worst is 1
 
@@ -244,9 +243,10 @@ def _read(path: Path) -> Clip | Take:
 
 
 def _standing(clips: Sequence[Clip | Take]) -> Clip | Take | None:
-    """Return a clip that stands on the floor, preferably one with a known tilt."""
-    if leveled_clips := [clip for clip in clips if isinstance(clip, Clip)]:
-        return max(leveled_clips, key=lambda clip: np.isfinite(clip.tilt))
+    """Return a clip, or a take that stands on the floor."""
+    cleaned = (clip for clip in clips if isinstance(clip, Clip))
+    if (standing := next(cleaned, None)) is not None:
+        return standing
     nearest = min(clips, key=lambda clip: abs(_foot_height(clip.positions)))
     return nearest if abs(_foot_height(nearest.positions)) < _NEAR else None
 
@@ -256,10 +256,7 @@ def _on_floor(take: Take, standing: Clip | Take) -> Array:
     height, positions = _foot_height(standing.positions), take.positions
     if abs(_foot_height(positions) - height) < _OFF:
         return positions
-    if isinstance(standing, Clip) and np.isfinite(standing.tilt):
-        positions = leveled(positions, standing.tilt, standing.roll)
-    else:
-        positions = leveled_to_clip(take, standing)
+    positions = laid_onto_clip(take, standing)
     rise = np.array([0.0, height - _foot_height(positions), 0.0])
     return np.asarray(positions + rise)
 

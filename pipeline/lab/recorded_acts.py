@@ -99,7 +99,7 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     time = np.arange(stamps[0], stamps[-1], 1.0 / fps)
     even = np.stack([np.interp(time, stamps, column) for column in flat.T], axis=1)
     joints = fill_missing_joints(even.reshape(len(time), len(skeleton), 3), body)
-    yaw = find_yaw(joints[0], np.ones(len(skeleton)), skeleton)
+    yaw = find_yaw(joints[0], skeleton)
     joints = HeadingFrame(np.zeros(3), np.nan_to_num(yaw)).remove(joints)
     joints -= 0.5 * (joints.min(axis=(0, 1)) + joints.max(axis=(0, 1)))
     joints[..., 1] -= (joints[..., 1] - clearances(body)).min()

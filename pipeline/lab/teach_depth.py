@@ -19,17 +19,11 @@ from numpy.typing import NDArray
 from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
 from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Indices, Singles
-from kinefilter.pipeline.database.threshold_rule import filter_to_count
+from kinefilter.pipeline.database import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
-from kinefilter.scenes.sensor.body_part_forest import (
-    BODY_PARTS,
-    BodyPartForest,
-    depth_differences,
-    parts_of_joints,
-)
 from kinefilter.scenes.sensor.depth_image import (
     DepthCamera,
     DepthImage,
@@ -37,11 +31,15 @@ from kinefilter.scenes.sensor.depth_image import (
     with_noise,
 )
 from kinefilter.scenes.sensor.depth_tracker import (
+    BODY_PARTS,
+    BodyPartForest,
+    depth_differences,
     joint_constants,
+    parts_of_joints,
     propose,
     push_behind_skin,
 )
-from kinefilter.scenes.sensor.ray_casting import PosedBody
+from kinefilter.scenes.sensor.visibility import PosedBody
 
 from .database_build import mocap_postures
 

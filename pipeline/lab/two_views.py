@@ -21,18 +21,16 @@ from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.workers import workers
-from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget import find_yaw
 
 from .accuracy import area_under_roc
 from .methods.training_data import TrainingSet
 from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
-from .view_sessions import LIMBS, Session, placed, read_views, view_pairs, yaw_of
+from .view_sessions import FAR, LIMBS, Session, away_from, read_views, view_pairs
 
 _TRUNK = "trunk"  # of which the heading is compared
-FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
-
 _FOLDS = 4  # groups of people; each is tested by training on the others
 
 Figures = dict[str, Any]
@@ -139,22 +137,14 @@ def _compare(
     }
 
 
-def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return joints' distances [m] from the truth less their median offset, (T, J)."""
-    away = placed(positions, truth, skeleton) - truth
-    heading = HeadingFrame(np.zeros_like(truth[:, 0]), yaw_of(truth, skeleton))
-    facing = heading.remove(away)
-    return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))
-
-
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
     """Return the angles between headings of trunks with one middle [degrees], (T,)."""
     names = ("Head", "KneeLeft", "AnkleLeft")
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]
     middles = (0.5 * (p[:, line] + p[:, mirror]) for p in (truth, positions))
-    true_yaw = yaw_of(placement(*middles).rotate(truth), skeleton)
-    return np.degrees(np.abs(wrapped(yaw_of(positions, skeleton) - true_yaw)))
+    true_yaw = find_yaw(placement(*middles).rotate(truth), skeleton)
+    return np.degrees(np.abs(wrapped(find_yaw(positions, skeleton) - true_yaw)))
 
 
 def _mean(values: Any) -> float | None:

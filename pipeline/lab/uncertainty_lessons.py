@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.skeleton import LIMB_PARTS
 from kinefilter.pipeline import uncertainty
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -105,7 +106,7 @@ def fit(rows: Sequence[Rows]) -> Weights:
     """Return bias and weights of each part's log uncertainty [m], seen and hidden."""
     weights: Weights = {"seen": {}, "hidden": {}}
     for table, missing in (("seen", False), ("hidden", True)):
-        for k, part in enumerate(uncertainty.PARTS):
+        for k, part in enumerate(LIMB_PARTS):
             # Shoulders and hips are never hidden; they take the next joint's weights.
             at = k + 1 if missing and part in ("Shoulder", "Hip") else k
             both, columns = slice(2 * at, 2 * at + 2), []

@@ -20,7 +20,7 @@ from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.target.smooth import smooth
-from kinefilter.retarget import find_yaw
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .pairing import changed_bones
 
@@ -30,6 +30,7 @@ LIMBS = {
     for side in ("Left", "Right")
 }
 """Limbs that are compared, and their joints."""
+FAR = 0.12  # m from the front sensor's joint, beyond which a joint is wrong
 _CUTOFF = 6.0  # Hz: the front sensor is lightly smoothed
 _SPEED = 6.0  # m/s beyond which the front is in doubt
 _FACING = 45.0  # degrees away from a sensor beyond which it loses limbs
@@ -146,16 +147,11 @@ def _mended(take: Take) -> Take:
     return swapped_back(once, swapped_frames(once)).at(frames)
 
 
-def yaw_of(positions: Array, skeleton: Skeleton) -> Array:
-    """Return headings [rad] by hips and shoulders, all of which count alike, (T,)."""
-    return find_yaw(positions, np.ones(positions.shape[:-1]), skeleton)
-
-
 def _turned(take: Take, rows: NDArray[np.intp]) -> Array:
     positions = take.positions[rows]
     to_sensor = -positions[:, take.skeleton.root]
     view = np.arctan2(to_sensor[:, 0], to_sensor[:, 2])
-    return np.degrees(np.abs(wrapped(yaw_of(positions, take.skeleton) - view)))
+    return np.degrees(np.abs(wrapped(find_yaw(positions, take.skeleton) - view)))
 
 
 def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
@@ -194,3 +190,11 @@ def placed(positions: Array, onto: Array, skeleton: Skeleton) -> Array:
     while (joint := skeleton.parents[trunk[0]]) != -1:
         trunk.insert(0, joint)
     return placement(positions[:, trunk], onto[:, trunk]).apply(positions)
+
+
+def away_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
+    """Return joints' distances [m] from the truth less their median offset, (T, J)."""
+    away = placed(positions, truth, skeleton) - truth
+    heading = HeadingFrame(np.zeros_like(truth[:, 0]), find_yaw(truth, skeleton))
+    facing = heading.remove(away)
+    return np.asarray(np.linalg.norm(facing - np.nanmedian(facing, axis=0), axis=2))

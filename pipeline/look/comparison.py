@@ -19,11 +19,10 @@ from kinefilter.pipeline.failures import (
     unmirrored,
 )
 from kinefilter.pipeline.formats import read_recording
-from kinefilter.pipeline.metrics import METRICS, measure
+from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
-from kinefilter.pipeline.target.floor import in_world, leveled, to_world
-from kinefilter.pipeline.target.upright import find_turn
+from kinefilter.pipeline.target.floor import in_world
 from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip, sensors_of
@@ -35,12 +34,9 @@ _TRY = "give the take that the clip was made from"
 _SKEW = 1e-6  # s between time stamps of the same frames: rounding
 _DRIFT = 0.1  # s between time stamps and the constant rate of a file without them
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall reaches as far
-_ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, and --keys 1
-_HALF = 2.0**-11  # relative: USD stores moved distances in half precision
+_ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, USD in half precision
 _SAME_LENGTH = 0.2  # s by which two clips of one take may differ in length
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
-_LEAST_TILT = np.radians(1.5)  # a smaller tilt is an effect of cleaning
-_STEPS = 8  # of Newton's method: each squares the error of the angle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,7 +89,7 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
     """
     clip = _with_stamps_of(take, clip)
     _check(clip, take)
-    raw = (in_clip_frame if _has_provenance(clip) else leveled_to_clip)(take, clip)
+    raw = (in_clip_frame if _has_provenance(clip) else laid_onto_clip)(take, clip)
     distinct = distinct_stamps(clip.time)
     time, stands = clip.time[distinct], planted_feet(clip.contacts)[distinct]
 
@@ -119,7 +115,7 @@ def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[st
     # Fusion has corrected gross failures of single sensors.
     failures, positions = () if fused else find_failures(take), clip.positions[distinct]
     mended = unmirrored(take, failures).positions
-    yaw = find_yaw(positions, np.ones(positions.shape[:2]), skeleton)
+    yaw = find_yaw(positions, skeleton)
     displaced = find_displaced(time, mended, positions, yaw, skeleton)
     sentences = describe_failures([*failures, *displaced], time[0])
     return (*describe_gaps(long_gaps(time), time[0]), *sentences)
@@ -159,7 +155,7 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
                 f"the take runs from {take.time[0]:.2f} to {take.time[-1]:.2f} s, "
                 f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}"
             )
-        placed = (in_clip_frame if _has_leveling(clip) else leveled_to_clip)(take, clip)
+        placed = (in_clip_frame if _has_leveling(clip) else laid_onto_clip)(take, clip)
     except InputError as error:
         raise InputError(f"--compare {path}: {error}") from None
     return np.where((apart > _APART)[:, None, None], np.nan, placed[nearest])
@@ -219,8 +215,6 @@ def _check(clip: Clip, take: Take) -> None:
         raise InputError("a motion needs at least two frames at different times")
     if not same_stamps(clip, take):
         raise InputError(f"their time stamps differ; {_TRY} (and without --fps)")
-    if _has_states(clip) and not np.array_equal(clip.state, take.state):
-        raise InputError(f"their tracking states differ; {_TRY}")
     rates = clip.reliability
     if not np.isfinite(clip.positions).all() or (
         np.isnan(rates).any() and not np.isnan(rates).all()  # all NaN: unknown
@@ -241,8 +235,8 @@ def same_stamps(clip: Clip, take: Take) -> bool:
 def in_clip_frame(take: Take, clip: Clip) -> Array:
     """Return joint positions [m] of a take, leveled as its clip was, shape (T, J, 3).
 
-    If both have the same frames, the distances stored in the clip must match this take.
-    Raises an InputError if they do not, or if the clip does not store tilt and floor.
+    If both have the same frames, the take must match the distances stored in the clip.
+    Raises an InputError if it does not, or if the clip does not store tilt and floor.
     """
     if not _has_leveling(clip):
         raise InputError(
@@ -251,78 +245,37 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
         )
     positions = in_world(take, clip)
     if same_stamps(clip, take):
-        _check_made_from(clip, take)
+        _check_made_from(clip, positions)
     return positions
 
 
-def leveled_to_clip(take: Take, clip: Clip | Take) -> Array:
+def laid_onto_clip(take: Take, clip: Clip | Take) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
-    For clips that do not store tilt and floor (BVH, CSV): both are estimated from the
-    heights of the joints. Raises an InputError if the take has no joint at their times.
+    For clips that do not store tilt and floor (BVH, CSV): a rigid transform lays the
+    take onto them. Raises an InputError if it has no joint at their times.
     """
-    frames = nearest_frames(take.time, clip.time)
-    turn = find_turn(take.positions, take.skeleton)
-    positions = leveled(take.positions, turn.tilt, turn.roll)
-    raw, clean = positions[frames].reshape(-1, 3), clip.positions.reshape(-1, 3)
-    valid = np.isfinite(raw).all(axis=1)
-    if not valid.any():
+    from kinefilter.pipeline.merge.rigid import placement
+
+    raw = take.positions[nearest_frames(take.time, clip.time)]
+    if not np.isfinite(raw).any():
         raise InputError("the take has no joint at the times of the clip")
-    return to_world(positions, *_tilt_and_floor(raw[valid], clean[valid]))
+    return placement(raw, clip.positions).apply(take.positions)
 
 
-def _tilt_and_floor(raw: Array, clean: Array) -> tuple[float, float]:
-    """Return tilt [rad] and floor height [m] that map raw to clean points (N, 3)."""
-    # Robust least squares of the heights, by Newton's method.
-    tilt, used = 0.0, np.ones(len(raw), dtype=np.bool_)
-    for _ in range(_STEPS):
-        turned = leveled(raw, tilt)
-        rise = clean[:, 1] - turned[:, 1]
-        columns = np.stack([-turned[:, 2], np.ones(len(raw))], axis=1)
-        step = np.linalg.lstsq(columns[used], rise[used], rcond=None)[0]
-        tilt += float(step[0])
-        errors = np.abs(rise - columns @ step)
-        used = errors <= 3.0 * np.median(errors) + 1e-9
-    if abs(tilt) < _LEAST_TILT:
-        tilt = 0.0
-    turned = leveled(raw, tilt)
-    return tilt, float(np.median(turned[:, 1] - clean[:, 1]))
+def _check_made_from(clip: Clip, raw: Array) -> None:
+    """Raise an InputError if a take's joints (T, J, 3) contradict most of its clip.
 
-
-def _check_made_from(clip: Clip, take: Take) -> None:
-    """Raise an InputError if a take with the same time stamps contradicts the clip."""
-    # Of frames that repeat a time stamp, only the first was used.
-    frames = np.flatnonzero(distinct_stamps(clip.time))
-    count, clip, take = len(clip), clip.at(frames), take.at(frames)
-    take = replace(take, positions=leveled(take.positions, 0.0, clip.roll))
-    clip = replace(clip, roll=0.0)
-    beyond = _disagreement(clip, take)
-    if np.isnan(beyond).all():
-        raise InputError("the take has no joint that the clip was made from")
-    most = np.nan_to_num(beyond).max(axis=1)
-    if (most > _ROUNDING).any():
-        # Edits swap left and right; so does cleaning, and turns whom it swapped.
-        for other in (take.swapped(), unmirrored(take, find_failures(take))):
-            again = np.nan_to_num(_disagreement(clip, other)).max(axis=1)
-            most = np.minimum(most, again)
-    wrong = np.flatnonzero(most > _ROUNDING)
-    if len(wrong):
-        worst = int(most.argmax())
-        joint = clip.skeleton.joints[int(np.nanargmax(beyond[worst]))]
-        raise InputError(
-            f"in {len(wrong)} of {count} frames the take does not match the clip: "
-            f"{joint} in frame {frames[worst] + 1} is {most[worst] * 100:.1f} cm or "
-            f"more from where the clip says it was measured; {_TRY}, the same --body, "
-            "and a clip written without --loop, --root and coarse --keys"
-        )
-
-
-def _disagreement(clip: Clip, take: Take) -> Array:
-    """Return how far joints are from where the clip allows them to be [m], (T, J).
-
-    A joint that correction moved by c and physics by p is c - p to c + p away from its
-    measurement. NaN where nothing was measured.
+    A joint that correction moved by c and physics by p is c - p to c + p away.
     """
-    moved = np.linalg.norm(clip.positions - in_world(take, clip), axis=2)
-    beyond = np.abs(moved - clip.moved_by_correction)
-    return np.asarray(beyond - np.nan_to_num(clip.moved_by_physics) - _HALF * moved)
+    off = []
+    for seen in (raw, raw[:, clip.skeleton.mirror]):  # edits and cleaning swap sides
+        beyond = np.abs(distances(clip.positions, seen) - clip.moved_by_correction)
+        beyond -= np.nan_to_num(clip.moved_by_physics)
+        known = beyond[np.isfinite(beyond)]
+        off.append(np.median(known) if len(known) else np.inf)
+    if min(off) > _ROUNDING:
+        raise InputError(
+            "most joints of the take are not where the clip says they were measured; "
+            f"{_TRY}, the same --body, and a clip written without --root"
+        )

@@ -12,13 +12,11 @@ import viser
 
 from kinefilter.characters import CONTACTS, Clip, InputError, Term
 from kinefilter.characters.arrays import Flags, runs
-from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditsFile
+from kinefilter.pipeline.edits import FEET, LIMBS, Edit, EditHistory, EditsFile
 from kinefilter.pipeline.progress import Progress
 
 from .drawing import Drawing, Sensor
-from .edit_history import EditHistory
-from .playhead import Playback
-from .timelines import AXES, Curves, timeline_html
+from .timelines import AXES, Curves, Playback, timeline_html
 from .viewer_scene import ViewerScene
 from .viewer_server import Action, ServedPage, table_html
 

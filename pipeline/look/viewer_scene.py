@@ -13,11 +13,11 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.props import UPRIGHT
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.characters.skin import skin_of
+from kinefilter.pipeline.edits import EditHistory
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 from .cameras import camera_over, camera_path
 from .drawing import Color, Drawing, Sensor, StickFigure, left_of
-from .edit_history import EditHistory
 
 Layer = tuple[Any, Callable[[int], None]]  # what is shown, and what moves it to a frame
 

@@ -1,10 +1,9 @@
 """Merges the takes of one person by several sensors into a single take."""
 
 from .alignment import Alignment, align
-from .calibration import read_calibration, write_calibration
 from .cleaning import Corrected, clean_session
 from .fusion import Fused, Fusion, Sight
-from .session import Merged, merge
+from .session import Merged, merge, read_calibration, write_calibration
 
 __all__ = [
     "Alignment",

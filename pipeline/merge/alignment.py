@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.skeleton import LIMB_PARTS
 from kinefilter.pipeline.reliability import column_medians
 
 from .lag import MIN_WINDOWS, Clock, Spline, correlations, interpolate_gaps, with_drift
@@ -49,7 +50,6 @@ _EDGE = 5e-3  # s from the end of the search
 _SPAN, _LONGER = 600.0, 4.0
 """Length [s] of the first span that is searched for drift, and the factor by which it
 grows. A clock that gains 0.2 ms a second is off by 0.06 s at the ends of the first."""
-_LIMBS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 
 
 class Alignment(NamedTuple):
@@ -103,7 +103,7 @@ def align(first: Take, second: Take) -> Alignment:
             f"{_MIN_COMMON:g} s, at any lag; give takes of the same time"
         )
     # A sensor behind the person has left and right swapped.
-    pairs = [_Pair(first, take) for take in (second, second.swapped())]
+    pairs = [TwoTakes(first, take) for take in (second, second.swapped())]
     fits = []
     for k in peaks[np.argsort(-certainties[peaks])][:_CANDIDATES]:
         clock = Clock(float(first.time[0]), float(second.time[0] + lags[k] / _RATE))
@@ -146,7 +146,7 @@ def _movement(take: Take) -> Array:
     root = Spline(take.time, positions[:, [skeleton.root]]).at(times)[:, 0]
     height = height - root[:, 1:2]
     columns = [root[:, 1], *height[:, _spine(skeleton)[1:]].T]
-    for limb in _LIMBS:
+    for limb in LIMB_PARTS:
         left, right = height[:, skeleton.sides(limb)].T
         columns += [0.5 * (left + right), np.abs(left - right)]
     values = np.stack(columns, axis=1)
@@ -162,7 +162,7 @@ def _movement(take: Take) -> Array:
 def _smoothed(take: Take) -> Spline:
     """Return the tracked joints that determine the lag, low-passed, at even times."""
     joints = _spine(take.skeleton)
-    joints += [joint for limb in _LIMBS for joint in take.skeleton.sides(limb)]
+    joints += [joint for limb in LIMB_PARTS for joint in take.skeleton.sides(limb)]
     tracked = (take.state == State.TRACKED)[:, joints, None]
     spline = Spline(take.time, np.where(tracked, take.positions[:, joints], np.nan))
     times = np.arange(spline.time[0], spline.time[-1], 1.0 / _EVEN)
@@ -186,7 +186,7 @@ def _filtered(
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
-class _Pair:
+class TwoTakes:
     """Two takes, compared by the joints that they have in common."""
 
     def __init__(self, first: Take, second: Take) -> None:

@@ -134,7 +134,7 @@ class Fusion:
     def _directions(self, seen: Sight) -> tuple[Array, Array]:
         """Return headings that sensors see, and directions to them [rad], (S,)."""
         x, _, z = (seen.sensor - seen.positions[:, self._skeleton.root]).T
-        yaws = find_yaw(seen.positions, seen.reliability, self._skeleton)
+        yaws = find_yaw(seen.positions, self._skeleton, seen.reliability)
         return yaws, np.arctan2(x, z)
 
     def step(

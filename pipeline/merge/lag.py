@@ -4,16 +4,22 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve
 from scipy.stats import theilslopes
 
 from kinefilter.characters.arrays import Array, Indices, chunks
+
+from .rigid import SIGMA, placement
 
 MIN_WINDOWS = 5  # that it takes to determine a drift
 _LONGEST_GAP = 0.15  # s between samples to interpolate over
 _CONFIDENCE = 0.99  # that there is a drift at all
 _CELLS = 2_000_000  # products at all lags in memory at a time
 _Time = TypeVar("_Time", float, Array)
+_RATE = 60.0  # Hz, grid on which distances between joints are correlated
+_PRECISION = 1e-4  # s
+_FRAMES = 1000  # at most, to refine a lag
 
 
 class Spline:
@@ -113,3 +119,48 @@ def with_drift(clock: Clock, rows: Array) -> Clock | None:
     if low <= 0.0 <= high:
         return None
     return clock._replace(lag=float(lag), drift=clock.drift + float(slope))
+
+
+def distances(spline: Spline) -> Array:
+    """Return distances between all joints [m], 1/_RATE s apart, (N, J (J - 1) / 2)."""
+    count = int((spline.time[-1] - spline.time[0]) * _RATE) + 1
+    positions = spline.at(spline.time[0] + np.arange(count) / _RATE)
+    one, other = np.triu_indices(positions.shape[1], 1)
+    return np.asarray(np.linalg.norm(positions[:, one] - positions[:, other], axis=2))
+
+
+def best_lag(first: Array, second: Array, least: float) -> float | None:
+    """Return the lag [s] of highest correlation, or None if the overlap is too short.
+
+    The lag is the time in the second recording at which the first one begins. Distances
+    [m] are 1/_RATE s apart, NaN where unknown, shapes (N, F) and (M, F); they overlap
+    by ``least`` [s] or more.
+    """
+    lags, correlation, common = correlations(first, second)
+    valid = (common >= least * _RATE) & ~np.isnan(correlation)
+    if not valid.any():
+        return None
+    scores = np.where(valid, correlation, -np.inf)
+    best, shift = int(np.argmax(scores)), 0.0
+    around = scores[max(best - 1, 0) : best + 2]
+    if len(around) == 3 and np.isfinite(around).all():
+        before, peak, after = around
+        curvature = before - 2.0 * peak + after  # of the parabola through the three
+        shift = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
+    return float(lags[best] + shift) / _RATE
+
+
+def refine_lag(take: Spline, mocap: Spline, clock: Clock) -> Clock:
+    """Return the clock with the lag that a rigid transform explains best."""
+    times = take.time[:: max(len(take.time) // _FRAMES, 1)]
+    seen = take.at(times)
+
+    def cost(lag: float) -> float:
+        there = mocap.at(clock._replace(lag=lag).at(times))
+        away = placement(there, seen).apply(there) - seen
+        varying = np.sum((away - np.nanmedian(away, axis=0)) ** 2, axis=2)
+        return float(np.nanmean(np.log1p(varying / SIGMA**2)))
+
+    bounds = (clock.lag - 2.0 / _RATE, clock.lag + 2.0 / _RATE)
+    best = minimize_scalar(cost, bounds=bounds, options={"xatol": _PRECISION})
+    return clock._replace(lag=float(best.x))

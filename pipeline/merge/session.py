@@ -1,25 +1,36 @@
-"""Merges takes that several sensors recorded of one person at the same time."""
+"""Merges simultaneous takes of one person, and reads and writes calibration files."""
 
+from __future__ import annotations
+
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, Take
-from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.failures.trunk import steadied
+from kinefilter.pipeline.formats.files import check_file, new_text
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
 
 from .alignment import IDENTITY, Alignment, check_sensors
 from .fusion import Fused, Fusion, Sight
-from .lag import Spline
+from .lag import Clock, Spline
 from .person import find_person
+from .rigid import Placement
 
 _NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
+_KIND = "kinefilter calibration"
+_UNREADABLE = (OSError, InputError, LookupError, TypeError, ValueError, RecursionError)
+_SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
+_MAX_DISTANCE = 100.0  # m from one sensor to another
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,3 +188,47 @@ def _joint_map(given: Skeleton, wanted: Skeleton) -> Indices:
     indices[wanted.joints[wanted.girdle]] = given.girdle
     indices |= {joint: k for k, joint in enumerate(given.joints)}
     return np.array([indices.get(joint, -1) for joint in wanted.joints])
+
+
+def write_calibration(merged: Merged, path: Path) -> None:
+    """Write place and clock of the sensors, for other takes of the session (JSON)."""
+    sensors: list[dict[str, Any]] = [{"source": Path(merged.sources[0]).name}]
+    for source, found in zip(merged.sources[1:], merged.alignments, strict=True):
+        sensors.append(
+            {
+                "source": Path(source).name,
+                "lag_seconds": found.clock.lag - found.clock.start,
+                "turn_xyzw": found.placed.turn.as_quat().tolist(),
+                "shift_meters": found.placed.shift.tolist(),
+            }
+        )
+    with new_text(path) as file:
+        file.write(json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n")
+
+
+def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
+    """Read a calibration, none without a path; raise InputError if it is invalid."""
+    if path is None:
+        return ()
+    check_file(path)
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found["file"] != _KIND:
+            raise ValueError(f"not a {_KIND}")
+        alignments = []
+        for sensor in found["sensors"][1:]:
+            turn, shift, lag = (
+                as_numbers(sensor[key], key, shape, finite=True).astype(float)
+                for key, shape in _SHAPES.items()
+            )
+            if np.abs(shift).max() > _MAX_DISTANCE:
+                raise ValueError(f"a sensor is over {_MAX_DISTANCE:g} m away")
+            clock = Clock(0.0, float(lag))
+            placed = Placement(Rotation.from_quat(turn), shift)
+            alignments.append(Alignment(clock, placed, np.nan, np.inf, np.inf))
+    except _UNREADABLE as error:
+        raise InputError(
+            f"{path}: not a calibration from 'kinefilter merge --save-calibration' "
+            f"({str(error)[:80]})"
+        ) from None
+    return tuple(alignments)

@@ -10,11 +10,17 @@ from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
 from kinefilter.retarget.stance import smooth_step
 
-from .holdable import HORIZONTAL, UP, Holdable
+from .holdable import HORIZONTAL, STRENGTH, UP, Holdable
 
 # All of these are guesses, tried on scripted performances with a box.
 _AHEAD = 0.15  # m in front of the hips: nearer hands hang, and hold nothing
 _PARTING = 0.08  # m by which hands part to let go, ...
+_TOGETHER = 0.02  # m by which hands that are about to part have not parted yet
+_UNEVEN = 0.9  # of the way of the other hand, so that one may keep a ball, ...
+_PATIENCE = 0.8  # s: ... which is to be pushed within this time
+_PUSHING = 0.3  # m/s downward of a hand that pushes a ball, ...
+_STILL = 4.0  # times faster than the other
+_THROWN = 0.8  # m/s upward of hands that throw what they part from
 _DRIFTING = 1.0  # s: ... and not as slowly as this
 _CALM = 0.15  # s in which hands that hold follow what is seen of them
 _FELT = 30.0  # N of a hand, beyond what it holds, at which hands yield
@@ -23,7 +29,6 @@ _LIFTED = 0.08  # m above where it was grasped: a prop that is put down when it 
 _RISE = 0.4  # m of a lift over which the prop comes to where the performer has theirs
 _SINK = 0.03  # m by which hands put a prop down lower than they took it up
 _RESTS = 0.25  # m/s: slower hands have put down what they hold
-STRENGTH = 300.0  # largest force of each hand [N]
 _TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
 _FLESH = 0.12  # m: thickness of trunk and thighs in front of the joints
 
@@ -54,7 +59,10 @@ class PerformerHands:
 
 
 class Carry:
-    """Ties a prop to ``hands``, where those of the character are [m], (2, 3)."""
+    """Ties a prop to ``hands``, where those of the character are [m], (2, 3).
+
+    ``stays`` is the hand, 0 left or 1 right, that keeps a ball when the hands part.
+    """
 
     def __init__(self, prop: Holdable, hands: Array, performer: PerformerHands) -> None:
         prop.tie(hands)
@@ -64,6 +72,9 @@ class Carry:
         self._carried, self._turn = hands, performer.turn(hands)
         middle = performer.palms.mean(axis=0)
         self._offset, self._grasped_at = hands.mean(axis=0) - middle, middle[1]
+        self._together = performer.palms - performer.root
+        self.stays: int | None = None
+        self._apart, self._waits = 0.0, False
         self._rested_at, self._clear = prop.center[1], 0.0
         self._shift, self._yield = np.zeros(3), np.zeros((2, 3))
 
@@ -102,18 +113,41 @@ class Carry:
 
     def _lets_go(self, performer: PerformerHands, pull: float, supported: bool) -> bool:
         """Return True if the performer lets go of the prop, or it is torn away."""
-        opens = False
+        opens, self.stays = False, None
         if performer.seen.all():
             self._gap += (performer.gap - self._gap) * min(performer.dt / _CALM, 1.0)
             wider = (self._gap - self._narrowest) * performer.dt / _DRIFTING
             self._narrowest = min(self._narrowest + wider, self._gap)
             parted = self._gap > self._narrowest + _PARTING
-            opens = parted or performer.behind(performer.palms)
+            if self._gap < self._narrowest + _TOGETHER:
+                self._together = performer.palms - performer.root
+            ball = self.prop.round and not supported
+            self.stays = self._pushing(performer) if ball else None
+            if parted and self._apart == 0.0:
+                self._waits = self._uneven(performer)
+            self._apart = self._apart + performer.dt if parted else 0.0
+            waits = ball and self._waits and self._apart < _PATIENCE
+            opens = (parted and not waits) or performer.behind(performer.palms)
+            opens |= self.stays is not None
         self._lifted |= self.prop.center[1] > self._rested_at + _LIFTED
         self._torn = self._torn + performer.dt if pull > STRENGTH else 0.0
         slow = float(np.linalg.norm(performer.velocity.mean(axis=0))) < _RESTS
         put_down = self._lifted and slow and supported and self.prop.rests
         return opens or put_down or self._torn > _TEARING_TIME
+
+    def _pushing(self, performer: PerformerHands) -> int | None:
+        """Return which hand pushes a ball down while the other rests, if one does."""
+        up = performer.velocity[:, 1]
+        apart = self._gap > self._narrowest + _TOGETHER
+        pushes = up.min() < min(-_PUSHING, -_STILL * np.abs(up).min())
+        return int(up.argmin()) if apart and pushes else None
+
+    def _uneven(self, performer: PerformerHands) -> bool:
+        """Return True if hands that part may be about to push a ball with one."""
+        moved = performer.palms - performer.root - self._together
+        moved = np.linalg.norm(moved, axis=-1)
+        thrown = performer.velocity[:, 1].mean() > _THROWN
+        return bool(moved.min() < _UNEVEN * moved.max() and not thrown)
 
     def _middle(self, performer: PerformerHands, along: Array, follow: float) -> Array:
         """Return the point between the performer's hands [m], by those seen, (3,)."""

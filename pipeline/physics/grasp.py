@@ -3,7 +3,8 @@
 A performer mimes: what they hold has another size and place than the prop of the scene.
 Where both hands slow down on either side of a prop, the character's hands go to its own
 faces. There each palm is tied to the prop until the performer's hands part or hang, the
-prop rests where they put it down, or it pulls harder than hands can.
+prop rests where they put it down, or it pulls harder than hands can. A ball may go to
+one hand that pushes it to the floor, and back.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from kinefilter.characters.rotations import cross, unit
 from kinefilter.retarget.bent_limb import Reach
 from kinefilter.retarget.stance import smooth_step
 
-from .carry import STRENGTH, Carry, PerformerHands
+from .carry import Carry, PerformerHands
 from .compliance import damped
-from .holdable import HANDS, HORIZONTAL, UP, Holdable
+from .dribble import Dribble
+from .holdable import HANDS, HORIZONTAL, STRENGTH, UP, Holdable
 
 # All of these are guesses, tried on scripted performances with a box.
 _SEEN = 0.3  # reliability of a hand that is seen well enough to let go
@@ -62,7 +64,7 @@ class Grasp:
         palm = float(body.radii[self._palms[0]])
         props = Holdable.all(data, palm, (left, right))
         self.props = [prop for prop in props if prop.weight < 2.0 * STRENGTH]
-        self._carry: Carry | None = None
+        self._carry: Carry | Dribble | None = None
         self._sought: Holdable | None = None
         self.start()
 
@@ -83,8 +85,12 @@ class Grasp:
 
     @property
     def weight(self) -> float:
-        """Weight of what is held [N]."""
-        return self._carry.prop.weight if self._carry else 0.0
+        """Weight of what both hands hold [N]."""
+        return self._carry.prop.weight if isinstance(self._carry, Carry) else 0.0
+
+    def press(self) -> Array | None:
+        """Push a dribbled ball in the next step of the engine, as ``Dribble.press``."""
+        return self._carry.press() if isinstance(self._carry, Dribble) else None
 
     def drop(self) -> None:
         """Let go of what is held, if anything."""
@@ -105,6 +111,8 @@ class Grasp:
         wanted = np.zeros((2, 3))
         if self._carry is None:
             wanted = self._seek(performer)
+            if self._waited > 0.0:  # the hands stay at the prop, not the performer's
+                self._away -= performer.velocity * dt
             if self._leaving > 0.0:  # first aside from what the hands put down
                 self._leaving -= dt
                 outward = unit(self._beside - self._beside.mean(axis=0))
@@ -116,6 +124,8 @@ class Grasp:
             carried = self._carry.step(performer, self._now, front)
             if carried is not None:
                 wanted = carried - performer.palms
+            elif (passed := self._passed_on(performer)) is not None:
+                self._carry, wanted = passed, self._away
             else:
                 self.drop()
                 self._beside, self._leaving = self._now, _LEAVING_TIME
@@ -124,6 +134,15 @@ class Grasp:
         if np.abs(self._away).max() < 1e-4:
             return positions, rotations
         return self._reach(positions, rotations, self._away)
+
+    def _passed_on(self, performer: PerformerHands) -> Carry | Dribble | None:
+        """Return what happens to a ball that went from both hands to one, or back."""
+        carry = self._carry
+        if isinstance(carry, Carry) and carry.stays is not None:
+            return Dribble(carry.prop, carry.stays, performer)
+        if isinstance(carry, Dribble) and carry.caught is not None:
+            return Carry(carry.prop, carry.caught, performer)
+        return None
 
     def _performer(
         self, positions: Array, seen: Flags | None, dt: float
@@ -189,7 +208,11 @@ class Grasp:
         outward = unit(places - places.mean(axis=0))
         above = hands[:, 1] - places[:, 1]
         inside = np.vecdot(places - hands, outward) > _INSIDE
-        first = places + _AROUND * np.clip(above / 0.1, 0.0, 1.0)[:, None] * outward
+        aside = np.clip(above / 0.1, 0.0, 1.0)
+        if prop.round:  # would roll away from the hand that comes first
+            late = np.linalg.norm(places - hands, axis=-1).max() - _AROUND
+            aside = np.maximum(aside, np.clip(late / 0.1, 0.0, 1.0))
+        first = places + _AROUND * aside[:, None] * outward
         top = prop.center[1] + prop.extent(UP) + 2.0 * _AROUND
         first[inside & (above > 0.0), 1] = top
         return np.asarray(first)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -15,6 +17,8 @@ HANDS = ("HandLeft", "HandRight")
 HORIZONTAL = np.array([1.0, 0.0, 1.0])
 UP = np.array([0.0, 1.0, 0.0])
 _MESH = mujoco.mjtGeom.mjGEOM_MESH
+_SITE = mujoco.mjtObj.mjOBJ_SITE
+_ENGINE_UP = to_mujoco(UP)
 
 # Guesses.
 _WIDTHS = (0.12, 0.7)  # m: thinner props need one hand, wider ones longer arms
@@ -25,6 +29,7 @@ _SLACK = 0.01  # m below a prop: nearer things support it
 _ALONG = 0.7  # cosine of the angle between a prop's axis and the line of the hands
 _LEVELING = 15.0  # rad/s: natural frequency at which held props turn level
 _WRISTS = 20.0  # N m of both wrists together
+STRENGTH = 300.0  # largest force of each hand [N]
 
 
 def add_ties(spec: mujoco.MjSpec, characters: int = 1) -> None:
@@ -82,16 +87,19 @@ class Holdable:
         self.name = model.body(body).name
         self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
         self._hands = [model.body(hand).id for hand in hands]
+        self._palms = [model.site(hand).id for hand in hands]
         geoms = np.flatnonzero((_props_of(model) == body) & (model.geom_contype != 0))
         # A single simple shape has axes of its own; others have those of the body.
         kind = model.geom_type[geoms[0]] if len(geoms) == 1 else _MESH
-        self._round = bool(kind == mujoco.mjtGeom.mjGEOM_SPHERE)
+        self.round = bool(kind == mujoco.mjtGeom.mjGEOM_SPHERE)
         frame = data.xmat[body] if kind == _MESH else data.geom_xmat[geoms[0]]
         self._turn = data.xmat[body].reshape(3, 3).T @ frame.reshape(3, 3)
         points = [_corners(data, int(geom)) for geom in geoms]
         points = (np.concatenate(points) - data.xpos[body]) @ frame.reshape(3, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         self._middle, self._half = self._turn @ (0.5 * (low + high)), 0.5 * (high - low)
+        first = int(model.body_dofadr[body])
+        self._speed = slice(first, first + 3)
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
@@ -121,20 +129,20 @@ class Holdable:
 
     def extent(self, direction: Array) -> float:
         """Return its half extent along a unit vector (3,) [m]."""
-        if self._round:
+        if self.round:
             return float(self._half[0])
         return float(np.abs(self._axes @ direction) @ self._half)
 
     def places(self, hands: Array) -> Array | None:
         """Return where hands at (2, 3) are to hold it [m], (2, 3); None if nowhere."""
         along = unit((hands[0] - hands[1]) * HORIZONTAL)
-        axes = along[None] if self._round else self._axes
+        axes = along[None] if self.round else self._axes
         k = int(np.abs(axes @ along).argmax())
         side = axes[k] * np.sign(axes[k] @ along)
         if side @ along < _ALONG or not _WIDTHS[0] < 2.0 * self._half[k] < _WIDTHS[1]:
             return None
         raised, most = float(hands[:, 1].mean() - self.center[1]), self.extent(UP)
-        raised = 0.0 if self._round else float(np.clip(raised, 0.0, _ABOVE * most))
+        raised = 0.0 if self.round else float(np.clip(raised, 0.0, _ABOVE * most))
         reach = (self._half[k] + self._palm) * np.array([side, -side])
         return np.asarray(self.center + raised * UP + reach)
 
@@ -158,6 +166,39 @@ class Holdable:
                 self._model.eq_data[tie, part : part + 3] = local
             data.eq_active[tie] = 1
         self._lay = self._matrix[2].copy()
+
+    @property
+    def reach(self) -> float:
+        """Distance of a hand from the center of a round prop that it touches [m]."""
+        return float(self._half[0]) + self._palm
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity of its body [m/s], shape (3,)."""
+        return from_mujoco(self._data.qvel[self._speed])
+
+    def stay_at(self, hands: Sequence[int], frequency: float) -> Array:
+        """Pull it under a palm, or between both (0, 1); return the force [N].
+
+        The force is that of a critically damped spring of a frequency [rad/s], in
+        MuJoCo's world, shape (3,), for the next step of the engine.
+        """
+        data, moves = self._data, np.empty((len(hands), 6))
+        sites = [self._palms[hand] for hand in hands]
+        for site, move in zip(sites, moves, strict=True):
+            mujoco.mj_objectVelocity(self._model, data, _SITE, site, move, 0)
+        off = data.site_xpos[sites].mean(axis=0) - data.xpos[self._body]
+        if len(hands) == 1:
+            off -= self.reach * _ENGINE_UP
+        slower = moves[:, 3:].mean(axis=0) - data.qvel[self._speed]
+        return self.push(frequency * (frequency * off + 2.0 * slower))
+
+    def push(self, acceleration: Array) -> Array:
+        """Accelerate it beyond gravity [m/s^2], (3,); return the force as above."""
+        mass = self.weight / GRAVITY
+        force = at_most(STRENGTH, mass * acceleration + self.weight * _ENGINE_UP)
+        self._data.xfrc_applied[self._body, :3] = force
+        return force
 
     def untie(self) -> None:
         """Let the hands go."""

@@ -46,11 +46,11 @@ class Momentum:
     def forget(self) -> None:
         """Forget the forces that were added, because the frame is simulated again."""
         self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulling))
-        self._steps = 0
+        self.steps = 0
 
     def add(self) -> None:
         """Add the forces of a substep: of the floor, props, ties and pulls."""
-        self._steps += 1
+        self.steps += 1
         for forces in self._given:
             self._forces += forces
         self._pulled += self._pulling
@@ -75,8 +75,8 @@ class Momentum:
         model = self._data.model
         step = model.opt.timestep
         momentum = (self._masses @ self._places - self._there) / step
-        explained = (self._forces - self._pulled @ self._directions) / self._steps
-        gained = (momentum - self._before) / (step * self._steps)
+        explained = (self._forces - self._pulled @ self._directions) / self.steps
+        gained = (momentum - self._before) / (step * self.steps)
         self.start()
         self._before = momentum
         return np.asarray(gained - self._gravity - explained - pushed)

@@ -224,6 +224,8 @@ class PulledCharacter:
             given = force * min(left / dt, 1.0)
             data.xfrc_applied[part, :3] += given
             self._pushed += given
+        self._on_trunk = data.xfrc_applied[self.root_body, :3].copy()
+        self._returned = np.zeros(3)
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n = move.after[0].size
         self._forward, data.ctrl[self._pulls][n:] = move.forward[:n], move.forward[n:]
@@ -234,6 +236,7 @@ class PulledCharacter:
     def begin_again(self) -> None:
         """Forget what it felt since ``begin``, because the step is taken again."""
         self.momentum.forget()
+        self._returned[:] = 0.0
         self.feet.begin_again()
         if self.compliance is not None:
             self.compliance.forget_hits()
@@ -247,6 +250,15 @@ class PulledCharacter:
         # The engine normalizes these quaternions.
         self.data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
 
+    def press(self, timestep: float) -> None:
+        """Apply the forces of a substep of some length [s]."""
+        self.feet.press(timestep)
+        if (force := self.grasp.press()) is not None:
+            # The arm passes what the ball returns on to the trunk.
+            trunk = self.data.xfrc_applied[self.root_body]
+            trunk[:3] = self._on_trunk - force
+            self._returned -= force
+
     def feel(self) -> None:
         """Note what the last substep did to the character."""
         self.momentum.add()
@@ -256,7 +268,8 @@ class PulledCharacter:
 
     def end(self) -> None:
         """Evaluate the forces of the move."""
-        self._external = self.momentum.unexplained(self._pushed)
+        pushed = self._pushed + self._returned / self.momentum.steps
+        self._external = self.momentum.unexplained(pushed)
 
     def put_back(self) -> None:
         """Put the character at rest onto its target."""

@@ -152,7 +152,7 @@ class World:
                 character.aim(share)
             for _ in range(substeps):
                 for character in characters:
-                    character.feet.press(model.opt.timestep)
+                    character.press(model.opt.timestep)
                 mujoco.mj_step(model, data)
                 for character in characters:
                     character.feel()

@@ -97,7 +97,7 @@ def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> Bridged
     root, frames = positions[:, skeleton.root], np.arange(len(time))
     if there[:, skeleton.root].any():
         root = _bridged(root, there[:, skeleton.root], rate, stretches)
-    yaw = find_yaw(positions, there.astype(float), skeleton)
+    yaw = find_yaw(positions, skeleton)
     facing = ~np.isnan(yaw)
     if facing.any():
         yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
@@ -243,8 +243,7 @@ def fill_unseen(
     skeleton, root = body.skeleton, positions[:, body.skeleton.root]
     if not unseen[in_limbs(skeleton)].any() or np.isnan(root).any():
         return positions, np.zeros_like(unseen)
-    weights = np.ones(positions.shape[:2])
-    heading = HeadingFrame(root, np.nan_to_num(find_yaw(positions, weights, skeleton)))
+    heading = HeadingFrame(root, np.nan_to_num(find_yaw(positions, skeleton)))
     placed = heading.remove(positions)
     bones = placed - placed[:, skeleton.parents]
     lower = root[:, 1] - standing_height(root[:, 1])

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Singles
 from kinefilter.characters.rotations import unit
-from kinefilter.characters.skeleton import SIDES
+from kinefilter.characters.skeleton import LIMB_PARTS, SIDES
 from kinefilter.pipeline.formats.npz import read_arrays
 
 from . import windows
@@ -38,7 +38,6 @@ PARTS = {
 }
 OUTPUT = 0.2  # departure of a direction's component at a network output of 1
 HANGING = np.array([0.0, -1.0, 0.0])  # direction from which an unseen limb departs
-_OTHERS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 _LONGEST = 8.0  # longest time among the features: there were no longer gaps in training
 _MOVES = 0.3  # change of a direction that corresponds to an input of 1
 _MOST = 1.0  # maximum departure of a component, for unusual inputs
@@ -222,5 +221,5 @@ def _rest_of_body(skeleton: Skeleton, hidden: Segments) -> tuple[Segments, bool]
     _, mirrored = part_of(skeleton, hidden)
     trunk = (skeleton.parents[skeleton.girdle], skeleton.girdle)
     sides = SIDES[::-1] if mirrored else SIDES
-    others = (skeleton.index(name + side) for side in sides for name in _OTHERS)
+    others = (skeleton.index(name + side) for side in sides for name in LIMB_PARTS)
     return tuple(j for j in (*trunk, *others) if j not in hidden), mirrored

@@ -83,7 +83,7 @@ class HiddenLimbTracker:
         hidden = with_tips(hidden, skeleton)
         there = ~hidden
         root = positions[skeleton.root]
-        yaw = find_yaw(positions, there.astype(float), skeleton)
+        yaw = find_yaw(positions, skeleton, there.astype(float))
         if hidden[skeleton.root] or np.isnan(root).any():
             root = self._root[k - 1]
         if np.isnan(yaw):

@@ -12,10 +12,10 @@ import numpy as np
 from kinefilter.characters import Body, Clip, Skeleton, Take
 from kinefilter.characters.anthropometry import joint_masses
 from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.pipeline.upright import HANGING, posture_of
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from .feet import ankles_and_toes
-from .upright import HANGING, posture_of
 
 _FIRST_FRAMES = 15  # half a second, in which people do not walk far
 _LEAST_STANCES = 5  # needed to measure a slope
@@ -140,7 +140,7 @@ def _leans(person: Stood) -> Array:
     (ankles, _), root = ankles_and_toes(skeleton), positions[:, skeleton.root]
     _, straight, down = posture_of(positions, skeleton)
     upright = straight.all(axis=1) & (down > HANGING).all(axis=1)
-    yaw = find_yaw(positions, np.ones(confidence.shape), skeleton)
+    yaw = find_yaw(positions, skeleton)
     facing = np.cos(yaw - np.arctan2(-root[:, 0], -root[:, 2])) > _FACING
     seen = (confidence[:, ankles] >= 0.5).all(axis=1)
     frames = np.flatnonzero(stands.all(axis=1) & seen & facing & upright)
@@ -207,5 +207,5 @@ def find_placement(positions: Array, skeleton: Skeleton) -> HeadingFrame:
     There the person starts at the origin and faces +z (MuJoCo's +x), the floor at 0.
     """
     first = np.median(positions[:_FIRST_FRAMES], axis=0)
-    yaw = find_yaw(first, np.ones(len(first)), skeleton)
+    yaw = find_yaw(first, skeleton)
     return HeadingFrame(first[skeleton.root] * [1.0, 0.0, 1.0], np.nan_to_num(yaw))

@@ -19,6 +19,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
+from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
@@ -26,7 +27,6 @@ from .possible_knees import possible_knees
 from .possible_trunk import possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
-from .upright import Turn, find_turn, given_turn
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1

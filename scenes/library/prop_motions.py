@@ -91,6 +91,35 @@ def _store_box(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     return score.to(u(0.8, 1.2), rest).hold(max(length - score.duration, 0.3))
 
 
+def _dribble(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
+    """Pick up a ball ahead on the right, dribble it with one hand, and catch it."""
+    score, u = Score(base).hold(0.2), rng.uniform
+    base = base.with_foot(BOTH, knee_out=u(0.05, 0.3, 2))
+    half, grip = u(0.14, 0.19), u(0.12, 0.22)
+    low = _crouch(puppet, base, u(0.4, 0.5), u(0.9, 1.2))
+    low = low.leaning(pelvis=(-0.3, 0.0, 0.0), spine=(0.0, 0.0, -0.3))
+    ball = np.array([u(-0.4, -0.2), grip, u(0.35, 0.5)])
+    for side, x in ((LEFT, half), (RIGHT, -half)):
+        place = ball + x * _ahead(1.1)
+        low = puppet.put_hand_world(low, side, place, (1.0, 0.2, -0.2))
+    belly = np.array([half / puppet.scale, u(-0.38, -0.3), 0.36])
+    hold = puppet.reach_both(base.leaning(spine=-0.08), belly, _DOWN)
+    score.to(u(0.9, 1.4), low).hold(0.2).to(u(0.9, 1.4), hold).hold(u(0.2, 0.5))
+    while score.duration < length - 1.0:
+        side = int(rng.integers(2))
+        pose = _crouch(puppet, base, u(0.05, 0.25), u(0.2, 0.6))
+        pose = pose.with_arm(1 - side, puppet.arm(u(0.4, 1.1), 0.8, 0.3, 1.1))
+        out, pace = u(0.18, 0.32), u(0.24, 0.36)
+        for beat in range(2 * int(rng.integers(6, 11))):
+            up, forward = (-0.46, 0.34) if beat % 2 else (-0.24, 0.36)
+            spot = np.array([out, up, forward]) + rng.normal(0.0, 0.015, 3)
+            sink = pose.leaning(drop=0.02 * (beat % 2) * puppet.scale)
+            sink = puppet.put_hand(sink, side, spot, (0.7, -0.5, -0.8))
+            score.to(pace if beat else 0.6, sink)
+        score.to(u(0.5, 0.7), hold).hold(u(0.3, 0.6))
+    return score.hold(max(length - score.duration, 0.3))
+
+
 def _ahead(yaw: float) -> Array:
     return np.array([np.sin(yaw), 0.0, np.cos(yaw)])
 
@@ -258,4 +287,5 @@ def _office(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
 PROP_MOTIONS = by_name(_basketball, _chair, _flip_chart, _lift_box, _office)
 """Motions with an imaginary object, by name."""
 
-TASKS: dict[str, Script] = {"store_box": _store_box}  # for one scene, never learned
+TASKS: dict[str, Script] = {"dribble": _dribble, "store_box": _store_box}
+"""For one scene each, and never learned from."""

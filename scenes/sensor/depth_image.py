@@ -15,8 +15,7 @@ from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Indices
 
 from .geometry import Sensor, in_sensor_frame, in_world_frame, sensor_axes
-from .ray_casting import PosedBody
-from .visibility import own_parts
+from .visibility import PosedBody, own_parts
 
 BACKGROUND = 10.0  # m: pixels without a person (Shotton 2011: a large constant)
 _EVERY = 2  # step between rendered pixels, along rows and columns

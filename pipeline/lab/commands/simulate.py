@@ -31,7 +31,8 @@ class Simulate:
     deep_squat, inline_lunge, hurdle_step, sit_to_stand and leg_raise are exercises,
     often done wrong. Walking, running, marching and carrying stay in the sensor's view.
     May also be a mocap file (BVH, AMC, C3D or TRC of joint centers), played in the
-    middle of the room. store_box carries the box of the scene box to its table."""
+    middle of the room. store_box carries the box of the scene box to its table, dribble
+    dribbles the ball of the scene basketball."""
     sensor: Literal["v1", "v2", "azure"] = "v2"
     """Model of the Kinect."""
     tracker: Literal["model", "depth"] = "model"

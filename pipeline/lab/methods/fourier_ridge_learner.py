@@ -309,11 +309,9 @@ class FourierRidgeLearner(FourierRidge, Learner):
 def _turn_share(views: TrainingSet) -> float:
     """Return the share by which people turn farther than shown, by least squares."""
     shown = turned_away(direction_to(views.sensor, len(views)))
-    yaws = [
-        find_yaw(places, np.isfinite(places[..., 0]).astype(float), views.skeleton)
-        for places in (views.truth, views.positions)
-    ]
-    turn = wrapped(yaws[0] - yaws[1])
+    both = (views.truth, views.positions)
+    true_yaw, seen_yaw = (find_yaw(places, views.skeleton) for places in both)
+    turn = wrapped(true_yaw - seen_yaw)
     known = np.isfinite(turn) & (shown != 0.0)
     if not known.any():
         return 0.0

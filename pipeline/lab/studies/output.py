@@ -43,7 +43,11 @@ _LEVEL_NAMES = 6  # group names that fit side by side without rotation
 
 _ARM_LENGTH = 2.6  # s, of the animation of a hidden arm
 _OTHERS = 4  # one in this many clips of other people trains the prior
-_CARRIER = 5012  # seed of the performer who carries a box
+_MIMED: tuple[tuple[str, str, str, int, dict[str, float]], ...] = (
+    ("held_box.gif", "box", "store_box", 5012, {"begin": 0.8}),
+    ("dribbled_ball.gif", "basketball", "dribble", 5003, {"begin": 1.6, "end": 6.4}),
+)
+"""Animations of things that are mimed: scene, motion, seed, and seconds of the clip."""
 _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 
 
@@ -138,11 +142,12 @@ def make_pictures(
     try:
         _animate(clean(read_take(SAMPLE)).clip, path, progress, compare=SAMPLE)
         yield f"wrote {path}"
-        path = folder / "held_box.gif"  # a mimed lift: the box goes onto the table
-        take = simulate("box", "store_box", seed=_CARRIER).take
-        clip = clean(take, CleanConfig(scene="box")).clip
-        _animate(clip, path, progress, start=0.8, scene="box")
-        yield f"wrote {path}"
+        for name, scene, motion, seed, part in _MIMED:
+            path = folder / name
+            take = simulate(scene, motion, seed=seed).take
+            clip = clean(take, CleanConfig(scene=scene)).clip
+            _animate(clip, path, progress, scene=scene, **part)
+            yield f"wrote {path}"
         if data is not None:
             path = folder / "hidden_arm.gif"
             _hide_an_arm(path, data, progress)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
-from kinefilter.pipeline.database.posture_database import PostureIndex
+from kinefilter.pipeline.database import PostureIndex
 from kinefilter.pipeline.lab.bench import bench
 from kinefilter.pipeline.lab.database_build import scripted_postures
 from kinefilter.pipeline.lab.simulation import simulate

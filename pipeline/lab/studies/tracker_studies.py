@@ -10,10 +10,11 @@ import numpy as np
 
 from kinefilter.characters import KINECT_V1
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.skeleton import LIMB_PARTS
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.lab.accuracy import FAR, LIMB_PARTS, LIMBS, mean_of_known
+from kinefilter.pipeline.lab.accuracy import FAR, LIMBS, mean_of_known
 from kinefilter.pipeline.lab.evaluate import tally_clips
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.recorded_acts import Pair, pairs_of, seen_by

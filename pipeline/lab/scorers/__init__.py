@@ -1,1 +1,0 @@
-"""Reliability scorers for comparison with the default one."""
