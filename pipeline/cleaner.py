@@ -41,7 +41,16 @@ from .stages import (
     Standardize,
 )
 from .target.aim_stages import AimHands, AimHead
-from .target.target_stages import Bones, Feet, Floor, Level, Orient, Smooth, Upright
+from .target.target_stages import (
+    Bones,
+    Feet,
+    Floor,
+    Level,
+    Orient,
+    Ranges,
+    Smooth,
+    Upright,
+)
 
 _Passing = tuple[Take, Any, Draft]  # recorded frames, index of all, working state
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion
@@ -79,6 +88,7 @@ class Cleaner:
             Standardize(),  # map to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # correct unreliable joints, map back
             MeasureCorrectedBody(config),  # measure the segments again, as corrected
+            Ranges(),  # keep trunks and knees from bending as nobody can
             Level(config),  # find the stances, and level the floor under them
             Smooth(config),  # smooth the joints, slow ones most
             Floor(config),  # put the floor at y = 0, under the planted feet
@@ -90,7 +100,8 @@ class Cleaner:
             Physics(config, tracking),  # pull a simulated character through the motion
         )
         enabled = {"physics": config.physics, "reconstruct": config.reconstruct}
-        enabled["failures"] = config.preset is None  # no paper repairs its input
+        # No paper repairs its input or output.
+        enabled |= dict.fromkeys(("failures", "ranges"), config.preset is None)
         self.stages = tuple(s for s in stages if enabled.get(s.name, True))
         self._gaps = config.gaps
         self._edits = read_edits(config.edits) if config.edits else ()

@@ -27,6 +27,7 @@ from .failures import (
     repaired,
     stray_joints,
 )
+from .failures.guessed_knees import guessed_knees
 from .methods import SCORERS, load
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference
@@ -133,6 +134,7 @@ class Failures(Stage):
         take = draft.take()
         draft.failures = find_failures(take, draft.exchanged, draft.distrusted)
         take = repaired(take, draft.failures)
+        take = take.without(guessed_knees(take))
         if draft.distrusted is not None:
             take = take.without(draft.distrusted)
         draft.measured, draft.state, draft.face = take.positions, take.state, take.face

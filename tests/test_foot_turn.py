@@ -1,4 +1,4 @@
-"""Feet that would point backward."""
+"""Feet that would point backward, or down."""
 
 from __future__ import annotations
 
@@ -97,3 +97,20 @@ def test_feet_of_performers_are_left_alone(
     monkeypatch.setattr("kinefilter.pipeline.target.foot_turn._SPLAYED", np.pi - 1e-6)
     free, _ = plant_feet(take.time, path, weights, stands, BODY)
     assert np.linalg.norm(found - free, axis=2).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("lifted", "flat"), [(0.05, True), (0.16, False), (0.45, True)]
+)
+def test_feet_do_not_stand_on_their_tips_where_the_view_cuts_legs_off(
+    lifted: float, *, flat: bool
+) -> None:
+    """A heel rises where the ankle is as high as it gets, but not far above that."""
+    path, (ankles, _) = standing(40), ankles_and_toes(KINECT_V1)
+    low = path[:, ankles, 1].copy()
+    path[:, ankles, 1] += lifted
+    stands, weights = np.ones((40, 2), dtype=bool), np.ones(path.shape[:2])
+    planted, down = plant_feet(stamps(40), path, weights, stands, BODY)
+    assert (down == flat).all()
+    rise = planted[:, ankles, 1] - low
+    assert (np.abs(rise) < 0.02 if flat else rise > 0.04).all()

@@ -89,6 +89,17 @@ def test_who_stands_is_carried_by_the_floor_alone() -> None:
     np.testing.assert_allclose(result.positions, positions, atol=1e-3)
 
 
+def test_a_foot_that_steps_in_a_gap_is_not_held_where_it_was() -> None:
+    time, positions, rotations = _standing(60)
+    stands, toes = np.ones((60, 2), dtype=bool), BODY.skeleton.sides("Foot")
+    time[30:] += 0.8
+    positions[30:, :, 2] += 0.3
+    character = PulledCharacter(BODY)
+    result = pulled_through(character, time, positions, rotations, stands=stands)
+    away = np.linalg.norm((result.positions - positions)[:, toes], axis=2)
+    assert away[30:].max() < 0.02
+
+
 def test_on_one_foot_the_other_does_not_press() -> None:
     _, positions, rotations = _standing(1)
     character = PulledCharacter(BODY)

@@ -18,7 +18,14 @@ from kinefilter.pipeline.formats.plain import times_told
 from kinefilter.retarget import HeadingFrame
 
 from . import bodies
-from .limb_failures import LIMBS, bent_backwards, leaps, out_of_range, through_head
+from .limb_failures import (
+    LIMBS,
+    bent_backwards,
+    folded_forward,
+    leaps,
+    out_of_range,
+    through_head,
+)
 from .sides import EXCHANGED, exchanged_frames, put_back, swapped_back, swapped_frames
 
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
@@ -142,25 +149,35 @@ def find_failures(
     if distrusted is not None:
         take = take.without(distrusted)
     for side in SIDES:
-        for limb, what, frames, shortest in (
-            ("arm", kind.THROUGH_HEAD, through_head(take, side), _SHORT),
-            ("arm", kind.OUT_OF_RANGE, out_of_range(take, side), _SHORT),
-            ("arm", kind.LEAPING, leaps(take, side, "arm"), 0.0),
-            ("leg", kind.BENT_BACKWARDS, bent_backwards(take, side), _LONG),
-            ("leg", kind.LEAPING, leaps(take, side, "leg"), 0.0),
+        through = _lasting(time, through_head(take, side), _SHORT)
+        beyond = _lasting(time, out_of_range(take, side), _SHORT)
+        bent = _lasting(time, bent_backwards(take, side), _LONG)
+        for limb, what, frames in (
+            ("arm", kind.THROUGH_HEAD, through),
+            ("arm", kind.OUT_OF_RANGE, beyond),
+            ("arm", kind.LEAPING, leaps(take, side, "arm")),
+            ("leg", kind.BENT_BACKWARDS, bent | folded_forward(take, side)),
+            ("leg", kind.LEAPING, leaps(take, side, "leg")),
         ):
-            found += stretches(time, what, f"{side.lower()} {limb}", frames, shortest)
+            found += stretches(time, what, f"{side.lower()} {limb}", frames)
     return tuple(sorted(found, key=lambda failure: failure.first))
 
 
 def stretches(
-    time: Array, kind: FailureKind, part: str, frames: Flags, shortest: float = 0.0
+    time: Array, kind: FailureKind, part: str, frames: Flags
 ) -> Iterator[Failure]:
-    """Yield a failure for each stretch of flagged frames (T,) of ``shortest`` [s]."""
+    """Yield a failure for each stretch of flagged frames (T,)."""
     for run in runs(frames):
-        start, end = float(time[run.start]), float(time[run.stop - 1])
-        if end - start >= shortest:
-            yield Failure(kind, part, run.start, run.stop - 1, start, end)
+        ends = float(time[run.start]), float(time[run.stop - 1])
+        yield Failure(kind, part, run.start, run.stop - 1, *ends)
+
+
+def _lasting(time: Array, frames: Flags, shortest: float) -> Flags:
+    """Return flagged frames (T,) in stretches of at least ``shortest`` [s]."""
+    lasting = np.zeros_like(frames)
+    for run in runs(frames):
+        lasting[run] = time[run.stop - 1] - time[run.start] >= shortest
+    return lasting
 
 
 def lost_joints(failures: Iterable[Failure], take: Take) -> Flags:

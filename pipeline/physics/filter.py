@@ -14,6 +14,7 @@ from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import continuous, slerp
+from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
 from .moves import Move
@@ -22,6 +23,7 @@ from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
+_PLACE = 0.03  # m that toes move in a step, and not at rest. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
 # Of resets. Guesses.
 _FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
@@ -81,6 +83,7 @@ class _Cue:
         self.character, self._person = character, person
         self._accelerations = _accelerations(own, person.positions)
         self._planned: tuple[int, Move] | None = None
+        self._toes = ankles_and_toes(character.body.skeleton)[1]
         last, stop = count - 1, np.searchsorted(own, stamps)
         self._after = np.minimum(stop, last)  # the next own frame, or the last
         self._before = np.maximum(self._after - 1, 0)
@@ -110,9 +113,19 @@ class _Cue:
         return p[one] + share * (p[two] - p[one]), slerp(q[one], q[two], share)
 
     def stands(self, k: int) -> Flags | None:
-        """Return which feet bear weight."""
-        stands = self._person.stands
-        return None if stands is None else stands[self._after[k]]
+        """Return which feet bear weight, up to a time stamp.
+
+        A foot that lands or steps while nobody sees it does not until it is there.
+        """
+        person, after, before = self._person, self._after[k], self._before[k]
+        if person.stands is None:
+            return None
+        stands = person.stands[after]
+        if _UNSEEN < person.time[after] - person.time[before] <= LONG_GAP:
+            moved = person.positions[after] - person.positions[before]
+            away = np.linalg.norm(moved[self._toes], axis=1)
+            stands = stands & person.stands[before] & (away < _PLACE)
+        return np.asarray(stands)
 
     def move(self, k: int, dt: float) -> Move:
         """Return the move to a time stamp that comes ``dt`` [s] after the last."""

@@ -327,6 +327,9 @@ def plant_feet(
             continue
         path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
         rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
+        # A leg that the edge of the view cuts off ends higher than a heel can be.
+        most = body.radii[toe] + body.lengths[toe] - flat
+        rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
         if heels is not None:
             rise[heels[:, foot]] = 0.0
         down[:, foot] = still & (rise < _HEEL_DOWN)

@@ -23,6 +23,8 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
+from .possible_knees import possible_knees
+from .possible_trunk import possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 
@@ -92,6 +94,23 @@ class Upright(SharedStage):
         draft.measured = floor.leveled(draft.measured, turn.tilt, turn.roll)
         if draft.face is not None:
             draft.face = floor.leveled(draft.face, turn.tilt, turn.roll)
+
+
+class Ranges(Stage):
+    """Stage that keeps trunks from folding or twisting, and knees from bending back."""
+
+    name = "ranges"
+    local = True
+
+    def step(self, draft: Draft) -> None:
+        """Put the joints of the next frame where bodies can have them."""
+        positions = possible_trunk(draft.positions[None], draft.body)
+        draft.positions = possible_knees(positions, draft.skeleton)[0]
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Put the joints of a take where bodies can have them."""
+        positions = possible_trunk(draft.positions, draft.body)
+        draft.positions = possible_knees(positions, draft.skeleton)
 
 
 class Level(SharedStage):
