@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Skeleton, Take
 from kinefilter.characters.rotations import unit
+from kinefilter.pipeline import upright
 from kinefilter.pipeline.formats.mocap import (
     RIGS,
     KinectMotion,
@@ -36,7 +37,6 @@ from kinefilter.pipeline.formats.mocap import (
 )
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.target import upright
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.upright import Turn
 
