@@ -318,8 +318,8 @@ def test_a_clip_is_read_with_its_take(tmp_path: Path) -> None:
     for suffix, off in (
         (".npz", 1e-9),
         (".usdc", 1e-6),
-        (".bvh", 0.03),
-        (".csv", 0.03),
+        (".bvh", 0.02),
+        (".csv", 0.02),
     ):
         path = tmp_path / f"clip{suffix}"
         write_clip(clip, path)

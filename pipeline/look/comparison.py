@@ -22,7 +22,7 @@ from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
-from kinefilter.pipeline.target.floor import in_world
+from kinefilter.pipeline.target.floor import in_world, leveled, to_world
 from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip, sensors_of
@@ -30,6 +30,7 @@ from .drawing import Drawing, read_finite_clip, sensors_of
 if TYPE_CHECKING:
     from kinefilter.pipeline.merge import Merged
 
+_LEAST_TILT = np.radians(1.5)  # a smaller tilt is an effect of cleaning
 _TRY = "give the take that the clip was made from"
 _SKEW = 1e-6  # s between time stamps of the same frames: rounding
 _DRIFT = 0.1  # s between time stamps and the constant rate of a file without them
@@ -252,15 +253,23 @@ def in_clip_frame(take: Take, clip: Clip) -> Array:
 def laid_onto_clip(take: Take, clip: Clip | Take) -> Array:
     """Return joint positions [m] of a take in its clip's frame, shape (T, J, 3).
 
-    For clips that do not store tilt and floor (BVH, CSV): a rigid transform lays the
-    take onto them. Raises an InputError if it has no joint at their times.
+    For clips that do not store tilt and floor (BVH, CSV): the rigid transform that lays
+    the take onto them says which way is up. Raises an InputError if the take has no
+    joint at their times.
     """
     from kinefilter.pipeline.merge.rigid import placement
 
-    raw = take.positions[nearest_frames(take.time, clip.time)]
+    frames = nearest_frames(take.time, clip.time)
+    raw = take.positions[frames]
     if not np.isfinite(raw).any():
         raise InputError("the take has no joint at the times of the clip")
-    return placement(raw, clip.positions).apply(take.positions)
+    place = placement(raw, clip.positions)
+    _, up, ahead = (place.apply(np.eye(3)) - place.apply(np.zeros(3)))[:, 1]
+    roll = np.pi if up < 0.0 else 0.0
+    tilt = float(np.arctan2(-ahead, abs(up)))
+    tilt = tilt if abs(tilt) > _LEAST_TILT else 0.0
+    off = leveled(raw, tilt, roll)[..., 1] - clip.positions[..., 1]
+    return to_world(take.positions, tilt, float(np.nanmedian(off)), roll)
 
 
 def _check_made_from(clip: Clip, raw: Array) -> None:
