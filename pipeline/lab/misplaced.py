@@ -62,10 +62,8 @@ def describe_limbs(take: Take) -> Array:
     filled = interpolate_gaps(time, take.positions[first].reshape(len(time), -1))
     positions = filled.reshape(len(time), -1, 3)
     features = np.zeros((*positions.shape[:2], len(FEATURES)))
-    yaw, root = (
-        np.nan_to_num(find_yaw(positions, skeleton)),
-        positions[:, skeleton.root],
-    )
+    yaw = np.nan_to_num(find_yaw(positions, skeleton))
+    root = positions[:, skeleton.root]
     placed = HeadingFrame(root, yaw).remove(positions)
     turned = yaw - np.arctan2(-root[:, 0], -root[:, 2])  # 0 facing the sensor
     elapsed = np.diff(time, prepend=time[0] - step)[:, None, None]
