@@ -5,12 +5,15 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, Tracking, TrackingName
+from kinefilter.characters import Body, InputError, Tracking, TrackingName
 from kinefilter.characters.arrays import Array, Flags
 
 from .cleaner import Cleaner
 from .config import CleanConfig
 from .correct import Corrector
+from .draft import Draft
+from .physics.pulled_character import PulledCharacter
+from .physics.shared_scene import Contact, SharedPhysics, SharedScene
 from .physics.stage import Physics
 from .upright import Turn
 
@@ -51,33 +54,42 @@ class Avatar:
     gets up again. The ``corrector`` is by default that of ``clean``, and ``measured``,
     the person's segment lengths as the sensor shows them, those of the body;
     ``Cleaner.measure`` finds both in a second of frames, which is more accurate.
+
+    Avatars with the same ``SharedScene`` push each other and the same props. ``step``
+    then only sets the target; once everyone's frame has been stepped, ``advance`` of
+    the scene moves them, and ``pose`` is the result. Its tracking is everyone's, and
+    ``name`` is how contacts of others name the person.
     """
 
     def __init__(
         self,
         body: Body,
-        scene: str | Path | None = None,
+        scene: str | Path | SharedScene | None = None,
         *,
         floor: float | None = None,
         tracking: Tracking | TrackingName | None = None,
         corrector: Corrector | None = None,
         measured: Body | None = None,
+        name: str = "",
     ) -> None:
         self.body, self.measured = body, measured or body
-        room = str(scene) if isinstance(scene, Path) else scene
+        self.shared = scene if isinstance(scene, SharedScene) else None
+        room = None if scene is self.shared else str(scene)
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         if isinstance(tracking, str):
             config, tracking = replace(config, tracking=tracking), None
         self.cleaner = Cleaner(config, tracking=tracking, corrector=corrector)
+        if self.shared is not None:
+            self.cleaner = self.cleaner.replaced(SharedPhysics(self.shared, name))
         self.start()
 
     def start(self) -> None:
         """Reset: the character appears where the next frame is."""
         self.cleaner.start(self.body, self.measured)
-        self.turn = Turn()
+        self._found: Draft | None = None
         physics = self.cleaner.stages[-1]
-        assert isinstance(physics, Physics)
-        self.physics = physics.character
+        assert isinstance(physics, Physics | SharedPhysics)
+        self._stage = physics
 
     def step(
         self, positions: ArrayLike, time: float, state: ArrayLike | None = None
@@ -88,9 +100,42 @@ class Avatar:
         states (State) (J,) are by default tracked wherever there is a position. Raises
         an InputError for a wrong shape or a time that does not increase.
         """
-        found = self.cleaner.step(positions, time, state)
-        self.turn = found.turn
-        return Pose(**{f.name: getattr(found, f.name) for f in fields(Pose)})
+        self._found = self.cleaner.step(positions, time, state)
+        return self.pose
+
+    @property
+    def pose(self) -> Pose:
+        """The character after the last frame; raises an InputError before the first."""
+        if self._found is None:
+            raise InputError("there is no pose yet; call step() first")
+        return Pose(**{f.name: getattr(self._found, f.name) for f in fields(Pose)})
+
+    @property
+    def physics(self) -> PulledCharacter:
+        """The simulated character; raises an InputError if it is in no scene yet."""
+        return self._stage.character
+
+    @property
+    def turn(self) -> Turn:
+        """How the sensor's frame was set upright."""
+        return Turn() if self._found is None else self._found.turn
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Where the character touches anything in a shared scene; empty in others."""
+        stage = self._stage
+        return stage.contacts if isinstance(stage, SharedPhysics) else ()
+
+    @property
+    def holds(self) -> str | None:
+        """The prop in the character's hands, by name."""
+        held = self.physics.grasp.held
+        return None if held is None else held.name
+
+    def leave(self) -> None:
+        """Leave the shared scene, until the next step."""
+        if isinstance(self._stage, SharedPhysics):
+            self._stage.leave()
 
     @property
     def notes(self) -> tuple[str, ...]:

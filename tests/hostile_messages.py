@@ -88,11 +88,33 @@ def _edited(rng: Rng) -> bytes:
     return json.dumps(frame).encode()
 
 
-_KINDS = (_noise, _cut, _huge, _no_number, _deep, _too_long, _edited, _edited)
+def _command(rng: Rng) -> bytes:
+    here, still = [0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    push = {"body": "1", "joint": "Head", "force": here, "seconds": 0.1}
+    place = {"prop": "box", "position": here, "rotation": still}
+    commands: list[Any] = [
+        {"push": here},
+        {"push": {**push, "force": 300.0}},
+        {"push": {**push, "force": [1e9, 0.0, 0.0]}},
+        {"push": {**push, "seconds": "long"}},
+        {"push": {**push, "joint": None}},
+        {"push": push, "throw": {}},
+        {"throw": {"position": here}},
+        {"throw": {"position": here, "velocity": [0.0, 0.0, "1e999"]}},
+        {"place": {**place, "prop": ["box"]}},
+        {"place": {**place, "rotation": here}},
+        {"place": {**place, "path": "../box.xml"}},
+    ]
+    return json.dumps(commands[int(rng.integers(len(commands)))]).encode()
+
+
+_KINDS = (
+    *(_noise, _cut, _huge, _no_number, _deep, _too_long, _edited, _edited, _command),
+)
 
 
 def hostile_messages(count: int, *, seed: int) -> Iterator[bytes]:
-    """Yield messages, each of which is no frame of Kinect v1, all under 64 KB."""
+    """Yield messages, neither commands nor frames of Kinect v1, all under 64 KB."""
     rng = np.random.default_rng(seed)
     for k in range(count):
         yield _KINDS[k % len(_KINDS)](rng)

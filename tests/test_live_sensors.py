@@ -197,7 +197,7 @@ def test_who_leaves_the_first_sensor_goes_on_by_the_second() -> None:
         session.receive(format_frame(frame), number)
         stream.clock, stream.placed = found.clock, found.placed
         while (turn := session.crowd.next()) is not None:
-            session._pose(*turn)
+            session._pose(turn)
     take, truth = both[0].pair.take, both[0].pair.truth
     assert {live.id for live in poses} == {"1"}
     last = poses[-1].time

@@ -37,7 +37,7 @@ from kinefilter.pipeline.live.endpoints import (
     open_server,
 )
 from kinefilter.pipeline.live.live_session import Session
-from kinefilter.pipeline.live.messages import Reason, format_frame
+from kinefilter.pipeline.live.messages import Reason, format_frame, skeleton_line
 from kinefilter.pipeline.live.sinks import Broadcast
 from kinefilter.pipeline.live.sources import Intake, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally
@@ -224,8 +224,9 @@ def test_who_never_reads_loses_lines_is_let_go_and_costs_others_nothing(
     monkeypatch.setattr(sinks, "_DEAD", 0.2)
 
     async def session() -> None:
-        tally, skeleton = Tally(), KINECT_V1
-        lines, most = Broadcast(skeleton, tally), 0
+        tally, most = Tally(), 0
+        intake = Intake(print, asyncio.Event().wait, print, tally)
+        lines = Broadcast(lambda: [skeleton_line(KINECT_V1)], intake)
         place = Address("ws", "127.0.0.1", 0)
         async with open_server(
             lines.handle, place, Access(), tally, largest=1000

@@ -12,6 +12,7 @@ from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import LONGEST_STEP
+from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 from .live_config import LiveConfig
 from .messages import Frame, Reason, SeenBody, as_arrays
@@ -34,13 +35,17 @@ _WELL_SEEN = 0.8  # share of joints tracked in a good frame. A guess.
 class Person:
     """Follows one person, with a standard body if the configuration has a height.
 
-    Otherwise the person is measured first, and poses begin after about a second.
+    Otherwise the person is measured first, and poses begin after about a second. With a
+    ``scene``, its ``advance`` completes them, and ``name`` is as for an ``Avatar``.
     """
 
     place: Array | None = None  # mean joint [m], shape (3,); only with several sensors
 
-    def __init__(self, config: LiveConfig) -> None:
+    def __init__(
+        self, config: LiveConfig, scene: SharedScene | None = None, name: str = ""
+    ) -> None:
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
+        self._scene, self._name = scene, name
         self.avatar: Avatar | None = None  # None before the person is measured
         self._frames: list[tuple[float, SeenBody]] = []
         if (height := config.height) is not None:
@@ -52,6 +57,11 @@ class Person:
         self._frames.clear()
         if self.avatar is not None:
             self.avatar.start()
+
+    def leave(self) -> None:
+        """Leave the scene."""
+        if self.avatar is not None:
+            self.avatar.leave()
 
     def step(self, seen: SeenBody, time: float) -> Pose | None:
         """Return the pose after a frame at ``time`` [s], None while still measuring."""
@@ -77,10 +87,11 @@ class Person:
         config = self._config
         return Avatar(
             body,
-            config.scene,
+            self._scene,
             floor=config.floor,
             tracking=config.tracking,
             measured=measured,
+            name=self._name,
         )
 
 
@@ -141,6 +152,11 @@ class Presence:
     stamps: Stamps = field(default_factory=Stamps)
     pending: PendingFrame | None = None  # the newest frame without a pose
 
+    @property
+    def avatar(self) -> Avatar | None:
+        """The person's character, None before the first pose."""
+        return None if self.person is None else self.person.avatar
+
 
 class Crowd:
     """All people in view; a newer frame of a person replaces one without a pose."""
@@ -155,8 +171,11 @@ class Crowd:
     @property
     def measuring(self) -> int:
         """Number of people who are not measured yet."""
-        people = (presence.person for presence in self._here.values())
-        return sum(person is None or person.avatar is None for person in people)
+        return sum(presence.avatar is None for presence in self._here.values())
+
+    def avatar(self, name: str) -> Avatar | None:
+        """Return the character of a person, by the sender's name, if there is one."""
+        return self._here[name].avatar if name in self._here else None
 
     def arrive(self, frame: Frame, now: float) -> list[SeenBody]:
         """Add a frame that arrived now [s]; return the bodies that ``add`` accepts."""

@@ -16,6 +16,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.merge import Corrected, Fusion, Sight
 from kinefilter.pipeline.merge.alignment import IDENTITY
 from kinefilter.pipeline.merge.rigid import Placement
+from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 from .crowd import Person
 from .live_config import LiveConfig
@@ -32,13 +33,19 @@ _Moment = tuple[float, Placement]  # time by a sensor's clock [s], and its place
 class FusedPerson(Person):
     """Follows one person with all sensors that see them, first with the lead alone."""
 
-    def __init__(self, config: LiveConfig, sensors: Sensors) -> None:
+    def __init__(
+        self,
+        config: LiveConfig,
+        sensors: Sensors,
+        scene: SharedScene | None = None,
+        name: str = "",
+    ) -> None:
         self._sensors = sensors
         self._corrected = Corrected(CleanConfig())
         self._views: list[_View] = []
         self._fusions: list[Fusion] = []
         self._last: float | None = None
-        super().__init__(config)
+        super().__init__(config, scene, name)
         sensors.people.add(self)
 
     def start(self) -> None:

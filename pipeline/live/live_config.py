@@ -54,8 +54,9 @@ class LiveConfig:
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """Skeleton whose joints the frames contain."""
     scene: str | None = None
-    """Surroundings of each person, who is alone in them: the name of a scene (an
-    unknown name lists the scenes) or an MJCF file (.xml); default: only a floor."""
+    """Surroundings that all people share, who push each other and the props: the name
+    of a scene (an unknown name lists the scenes) or an MJCF file (.xml); default: only
+    a floor, on which everyone is alone."""
     tracking: TrackingName = "faithful"
     """How each person's character follows the motion: faithful; game, which gives way
     to obstacles, falls, and gets up again; or ragdoll, which nothing pulls."""

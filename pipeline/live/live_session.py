@@ -5,21 +5,43 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
-from collections.abc import Callable
-from contextlib import AsyncExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AsyncExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinefilter.characters import InputError, State, skeleton_named, standard_body
+from kinefilter.characters import (
+    TRACKINGS,
+    InputError,
+    State,
+    skeleton_named,
+    standard_body,
+)
+from kinefilter.characters.humanoid import MOST_CHARACTERS
+from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 from .background import meanwhile
 from .crowd import Crowd, PendingFrame, Person, Presence
 from .endpoints import Address, find_endpoints
 from .live_config import AccessConfig, LiveConfig
-from .messages import LivePose, MalformedError, SeenBody, parse_frame
+from .messages import (
+    Command,
+    Frame,
+    LivePose,
+    MalformedError,
+    Place,
+    Push,
+    Reason,
+    SeenBody,
+    Throw,
+    parse_message,
+    props_line,
+    scene_line,
+    skeleton_line,
+)
 from .recorder import Recorder
 from .sinks import Broadcast, Engine, open_sink
 from .sources import Intake, open_source
@@ -48,13 +70,15 @@ class Session:
         self.tally = Tally()
         self.recorded: list[Path] = []  # files, once the recording is finished
         self.endpoints = find_endpoints(config, access or AccessConfig())
-        if not 1 <= config.bodies <= _MOST_BODIES:
-            raise InputError(f"--bodies {config.bodies}: expected 1 to {_MOST_BODIES}")
+        most = _MOST_BODIES if config.scene is None else MOST_CHARACTERS
+        if not 1 <= config.bodies <= most:
+            raise InputError(f"--bodies {config.bodies}: expected 1 to {most}")
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
+        self.scene = self._new_scene()
         self.crowd = Crowd(config.bodies, self.tally)
         count = len(self.endpoints.sources)
         self.sensors: Sensors | None = None
-        self._new_person: Callable[[], Person] = partial(Person, config)
+        self._new_person: Callable[[str], Person] = partial(Person, config, self.scene)
         if count > 1:
             from kinefilter.pipeline.merge import read_calibration
             from kinefilter.pipeline.merge.alignment import check_sensors
@@ -64,7 +88,7 @@ class Session:
 
             check_sensors(known := read_calibration(config.calibration), count)
             self.sensors = Sensors(self._skeleton, count, known, self.tally)
-            self._new_person = partial(FusedPerson, config, self.sensors)
+            self._new_person = partial(FusedPerson, config, self.sensors, self.scene)
         elif config.calibration is not None:
             raise InputError("--calibration is for several --in; leave it out")
         self.recorders: list[Recorder] = []
@@ -75,6 +99,11 @@ class Session:
         self._sinks: list[Broadcast | Engine] = []
         self._came, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
+
+    def _new_scene(self) -> SharedScene | None:
+        if self._config.scene is None:
+            return None
+        return SharedScene(self._config.scene, TRACKINGS[self._config.tracking])
 
     @property
     def failure(self) -> str | None:
@@ -96,9 +125,9 @@ class Session:
             self._warm_up()
             async with AsyncExitStack() as stack:
                 for target in self.endpoints.targets:
-                    sink, place = await stack.enter_async_context(
-                        open_sink(target, access, self._skeleton, self.tally, stop.set)
-                    )
+                    intake = Intake(self.command, self._done, stop.set, self.tally)
+                    opening = open_sink(target, access, self._greeting, intake)
+                    sink, place = await stack.enter_async_context(opening)
                     self._sinks.append(sink)
                     used.append(place)
                 work = [self._pump(), self._tick(), self._record(), stop.wait()]
@@ -124,14 +153,47 @@ class Session:
                 self.recorded += recorder.finish()
 
     def receive(self, message: bytes | str, number: int = 0) -> None:
-        """Take in a message from a sensor; count it if it is not a frame."""
+        """Take in a message from a sensor; count it if it is invalid."""
+        with self._counted():
+            found = parse_message(message, self._skeleton)
+            if isinstance(found, Frame):
+                self._take_in(found, number)
+            else:
+                self._obey(found)
+
+    def command(self, message: bytes | str) -> None:
+        """Obey a message from a reader of poses; count it if it is no command."""
+        with self._counted():
+            found = parse_message(message, self._skeleton)
+            if isinstance(found, Frame):
+                raise MalformedError(Reason.COMMAND)
+            self._obey(found)
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
         try:
-            frame = parse_frame(message, self._skeleton)
+            yield
         except MalformedError as error:
             self.tally.malformed[error.reason] += 1
             if error.note:
                 self.tally.notes.setdefault(error.reason, (error.note,))
-            return
+
+    def _obey(self, command: Command) -> None:
+        done, scene = False, self.scene
+        if isinstance(command, Push):
+            avatar = self.crowd.avatar(command.body)
+            if avatar is not None and command.joint in self._skeleton.joints:
+                avatar.push(command.joint, command.force, float(command.seconds))
+                done = True
+        elif scene is not None and isinstance(command, Throw):
+            done = scene.throw(*command)
+        elif scene is not None and isinstance(command, Place):
+            done = scene.place(*command)
+        if not done:
+            raise MalformedError(Reason.UNKNOWN)
+        self.tally.events[Event.OBEYED] += 1
+
+    def _take_in(self, frame: Frame, number: int) -> None:
         now = time.perf_counter()
         self.tally.events[Event.FRAMES] += 1
         if self.sensors is None or self.sensors.arrive(number, frame, now):
@@ -168,12 +230,18 @@ class Session:
             await sink.flushed()
 
     async def _pump(self) -> None:
-        """Make poses, each of the person who has waited longest."""
+        """Make poses, each of the person who has waited longest, or in a scene of all.
+
+        People in a scene move at the same time.
+        """
         while True:
             await self._came.wait()
             self._came.clear()
             while (turn := self.crowd.next()) is not None:
-                self._pose(*turn)
+                turns = [turn]
+                while self.scene is not None and (turn := self.crowd.next()):
+                    turns.append(turn)
+                self._pose(*turns)
                 await self._let_others_run()
             self._idle.set()
 
@@ -185,10 +253,23 @@ class Session:
             await asyncio.sleep(0)
             quiet = 0 if self._came.is_set() else quiet + 1
 
-    def _pose(self, presence: Presence, frame: PendingFrame) -> None:
+    def _pose(self, *turns: tuple[Presence, PendingFrame]) -> None:
+        world = self.scene and self.scene.world
+        posed = [turn for turn in turns if self._follow(*turn)]
+        if self.scene is not None:
+            self.scene.advance()
+            if self.scene.world is not world:
+                self._tell(self._scene_line())
+        for presence, frame in posed:
+            self._send(presence, frame)
+        if posed and self.scene is not None and (moved := self.scene.moved()):
+            self._tell(props_line(posed[-1][1].time, moved))
+
+    def _follow(self, presence: Presence, frame: PendingFrame) -> bool:
+        """Follow a person; return whether there is a pose."""
         if presence.person is None:
-            presence.person = self._new_person()
-        person, avatar = presence.person, presence.person.avatar
+            presence.person = self._new_person(presence.id)
+        person, avatar = presence.person, presence.avatar
         turn = avatar and avatar.turn
         if frame.restarted:
             person.start()
@@ -196,15 +277,22 @@ class Session:
             pose = person.step(frame.seen, frame.time)
         except (InputError, ArithmeticError, ValueError):
             # Inhuman lengths or an overflow: others must be able to carry on.
+            person.leave()
             presence.person = None
             self.tally.events[Event.FAILED] += 1
-            return
-        if pose is None or person.avatar is None:
-            return
-        if person.avatar.turn is not turn:
+            return False
+        if person.avatar is not None and person.avatar.turn is not turn:
             self.tally.notes[presence.slot] = person.avatar.turn.notes()
-        body, latency = person.avatar.body, time.perf_counter() - frame.arrived
-        live = LivePose(presence.id, presence.slot, frame.time, body, pose, latency)
+        return pose is not None
+
+    def _send(self, presence: Presence, frame: PendingFrame) -> None:
+        avatar = presence.avatar
+        assert avatar is not None
+        pose, latency = avatar.pose, time.perf_counter() - frame.arrived
+        named = presence.id, presence.slot, frame.time, avatar.body
+        live = LivePose(*named, pose, latency)
+        if self.scene is not None:
+            live = live._replace(contacts=avatar.contacts, holds=avatar.holds)
         for sink in self._sinks:
             sink.send(live)
         self.tally.events[Event.POSES] += 1
@@ -212,12 +300,29 @@ class Session:
         self.tally.events[Event.IMPOSSIBLE] += int(pose.impossible)
         self.tally.latency.add(time.perf_counter() - frame.arrived)
 
+    def _greeting(self) -> list[str]:
+        """Return the lines that every reader gets first."""
+        lines = [skeleton_line(self._skeleton)]
+        if self.scene is not None and self.scene.world is not None:
+            lines.append(self._scene_line())
+        return lines
+
+    def _scene_line(self) -> str:
+        assert self.scene is not None
+        return scene_line(str(self.scene.scene), self.scene.props)
+
+    def _tell(self, line: str) -> None:
+        for sink in self._sinks:
+            sink.put(line)
+
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(_TICK)
             if self.sensors is not None:
                 self.sensors.update_notes(time.perf_counter())
             for gone in self.crowd.drop_gone(time.perf_counter()):
+                if gone.person is not None:
+                    gone.person.leave()
                 for sink in self._sinks:
                     sink.gone(gone)
 
@@ -229,9 +334,12 @@ class Session:
 
     def _warm_up(self) -> None:
         """Load what the first poses need, and exempt it from garbage collection."""
-        person, rest = Person(self._config), standard_body(self._skeleton)
+        scene = self._new_scene()
+        person, rest = Person(self._config, scene), standard_body(self._skeleton)
         tracked = np.full(len(self._skeleton), State.TRACKED)
         for k in range(_WARM_UP):
             person.step(SeenBody("", rest.rest_positions, tracked), k / 30.0)
+            if scene is not None:
+                scene.advance()
         gc.collect()
         gc.freeze()

@@ -7,14 +7,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from kinefilter.characters import SKELETONS, Body, KinefilterError, Skeleton, State
+from kinefilter.characters import (
+    SKELETONS,
+    Body,
+    KinefilterError,
+    Prop,
+    Skeleton,
+    State,
+)
 from kinefilter.characters.arrays import Array, Codes, shown
 from kinefilter.characters.motion import LATEST_TIME_STAMP
 from kinefilter.pipeline.formats.plain import counted
@@ -22,6 +29,7 @@ from kinefilter.pipeline.formats.recording import mark_missing
 
 if TYPE_CHECKING:
     from kinefilter.pipeline.avatar import Pose
+    from kinefilter.pipeline.physics.shared_scene import Contact
 
 MAX_MESSAGE = 2**15  # bytes: fits a datagram, and twice six bodies with all digits
 _MAX_DISTANCE = 100.0  # m: no sensor that tracks people sees that far
@@ -33,7 +41,7 @@ _DECIMALS = 5  # 0.01 mm
 
 
 class Reason(StrEnum):
-    """What is wrong with a malformed message."""
+    """What is wrong with a message that is ignored."""
 
     TOO_LONG = "too long"
     NOT_JSON = "not JSON"
@@ -44,10 +52,12 @@ class Reason(StrEnum):
     JOINT = "unknown joint"
     JOINTS = "wrong number of joints"
     BODIES = "invalid bodies or ids"
+    COMMAND = "not a push, throw or place"
+    UNKNOWN = "no such person, joint or prop"
 
 
 class MalformedError(KinefilterError):
-    """A message is not a frame; it is counted and ignored."""
+    """A message is neither a frame nor a command; it is counted and ignored."""
 
     def __init__(self, reason: Reason, note: str = "") -> None:
         super().__init__(reason.value)
@@ -77,6 +87,45 @@ class Frame:
     bodies: tuple[SeenBody, ...]  # each id once
 
 
+class Push(NamedTuple):
+    """Command to push a person, as in ``Avatar.push``."""
+
+    body: str  # the sender's name for the person
+    joint: str
+    force: Array  # [N], shape (3,)
+    seconds: float
+
+
+class Throw(NamedTuple):
+    """Command to throw a ball into the shared scene."""
+
+    position: Array  # [m], shape (3,)
+    velocity: Array  # [m/s], shape (3,)
+
+
+class Place(NamedTuple):
+    """Command to put a prop of the shared scene somewhere, at rest."""
+
+    prop: str
+    position: Array  # [m], shape (3,)
+    rotation: Array  # wxyz, shape (4,)
+
+
+Command = Push | Throw | Place
+# The fields of each command, with how many numbers, and the largest. Names have none.
+_COMMANDS: dict[str, tuple[type[Command], dict[str, tuple[int, float]]]] = {
+    "push": (
+        Push,
+        {"body": (0, 0), "joint": (0, 0), "force": (3, 1e5), "seconds": (1, 10.0)},
+    ),
+    "throw": (Throw, {"position": (3, _MAX_DISTANCE), "velocity": (3, 100.0)}),
+    "place": (
+        Place,
+        {"prop": (0, 0), "position": (3, _MAX_DISTANCE), "rotation": (4, 1.0)},
+    ),
+}
+
+
 class LivePose(NamedTuple):
     """The character of one person after a frame."""
 
@@ -86,6 +135,8 @@ class LivePose(NamedTuple):
     body: Body
     pose: Pose
     latency: float  # time since the frame arrived [s]
+    contacts: tuple[Contact, ...] | None = None  # None without a shared scene
+    holds: str | None = None  # the prop in the character's hands
 
 
 def as_arrays(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, Codes]:
@@ -95,8 +146,15 @@ def as_arrays(frames: Sequence[tuple[float, SeenBody]]) -> tuple[Array, Array, C
     return time, positions, state
 
 
-def parse_frame(message: str | bytes, skeleton: Skeleton) -> Frame:
-    """Return the frame in a message; raise MalformedError if it is not a frame."""
+def parse_message(message: str | bytes, skeleton: Skeleton) -> Frame | Command:
+    """Return the frame or command in a message; raise MalformedError if it is none."""
+    data = _parsed(message)
+    if len(data) == 1 and (kind := next(iter(data))) in _COMMANDS:
+        return _parse_command(kind, data[kind])
+    return _parse_frame(data, skeleton)
+
+
+def _parsed(message: str | bytes) -> dict[str, Any]:
     if len(message) > MAX_MESSAGE:
         raise MalformedError(Reason.TOO_LONG)
     try:
@@ -109,6 +167,10 @@ def parse_frame(message: str | bytes, skeleton: Skeleton) -> Frame:
         raise MalformedError(Reason.NOT_JSON) from None
     if not isinstance(data, dict):
         raise MalformedError(Reason.NOT_A_FRAME)
+    return data
+
+
+def _parse_frame(data: dict[str, Any], skeleton: Skeleton) -> Frame:
     if set(data) == {"time", "joints"}:
         data = {"time": data["time"], "bodies": [{"id": 1.0, "joints": data["joints"]}]}
     if set(data) != {"time", "bodies"} or not isinstance(data["bodies"], list):
@@ -122,6 +184,28 @@ def parse_frame(message: str | bytes, skeleton: Skeleton) -> Frame:
     if len({body.id for body in bodies}) < len(bodies):
         raise MalformedError(Reason.BODIES)
     return Frame(time, bodies)
+
+
+def _parse_command(kind: str, data: Any) -> Command:
+    command, fields = _COMMANDS[kind]
+    if not isinstance(data, dict) or set(data) != set(fields):
+        raise MalformedError(Reason.COMMAND)
+    values: list[Any] = []
+    for name, (count, most) in fields.items():
+        value = data[name]
+        if count:
+            numbers = value if isinstance(value, list) else [value]
+            if [type(number) for number in numbers] != [float] * count:
+                raise MalformedError(Reason.COMMAND)
+            if not max(map(abs, numbers)) <= most:
+                raise MalformedError(Reason.NUMBER)
+            value = np.array(value)
+        elif name == "body":
+            value = _parse_id(value)
+        elif not isinstance(value, str):
+            raise MalformedError(Reason.COMMAND)
+        values.append(value)
+    return command(*values)
 
 
 def _reject_constant(_: str) -> NoReturn:
@@ -202,24 +286,70 @@ def skeleton_line(skeleton: Skeleton) -> str:
 
 def pose_line(live: LivePose) -> str:
     """Return the line of a pose."""
-    pose = live.pose
-    positions = pose.positions.round(_DECIMALS).tolist()
-    data = {
+    pose, joints = live.pose, live.body.skeleton.joints
+    positions = _rounded(pose.positions)
+    data: dict[str, Any] = {
         "time": live.time,
         "body": live.id,
         "root": positions[live.body.skeleton.root],
         "positions": positions,
-        "rotations": pose.rotations.round(_DECIMALS).tolist(),
+        "rotations": _rounded(pose.rotations),
         "stands": pose.stands.tolist(),
         "external_force": round(pose.external_force, 3),
         "latency": round(live.latency * 1e3, 2),
     }
+    if live.contacts is not None:
+        data["holds"] = live.holds
+        data["contacts"] = [
+            {
+                "joint": joints[contact.joint],
+                "with": contact.other,
+                "position": _rounded(contact.position),
+                "force": round(contact.force, 1),
+            }
+            for contact in live.contacts
+        ]
     return _to_json(data)
+
+
+def scene_line(scene: str, props: Sequence[Prop]) -> str:
+    """Return the line that describes a shared scene: its props, and where they are."""
+    described = [
+        {
+            "name": prop.name,
+            "position": _rounded(prop.positions[-1]),
+            "rotation": _rounded(prop.rotations[-1]),
+            "shapes": [
+                {
+                    "kind": shape.kind,
+                    "size": _rounded(shape.size),
+                    "position": _rounded(shape.position),
+                    "rotation": _rounded(shape.rotation),
+                    "color": _rounded(shape.color),
+                    "points": _rounded(shape.points),
+                    "triangles": shape.triangles.tolist(),
+                }
+                for shape in prop.shapes
+            ],
+        }
+        for prop in props
+    ]
+    return _to_json({"scene": scene, "props": described})
+
+
+def props_line(time: float, poses: Mapping[str, Array]) -> str:
+    """Return the line of props that moved, each x, y, z [m] and w, x, y, z."""
+    moved = {name: _rounded(pose) for name, pose in poses.items()}
+    return _to_json({"time": time, "props": moved})
 
 
 def gone_line(body: str) -> str:
     """Return the line that reports that a person has left."""
     return _to_json({"body": body, "gone": True})
+
+
+def _rounded(values: Array) -> Any:
+    return values.round(_DECIMALS).tolist()
 
 
 def _to_json(data: dict[str, Any]) -> str:

@@ -8,12 +8,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING
 
-from kinefilter.characters import Skeleton
-
 from .background import meanwhile, write_stdout
 from .crowd import Presence
 from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
-from .messages import LivePose, gone_line, pose_line, skeleton_line
+from .messages import LivePose, gone_line, pose_line
+from .sources import Intake, take_all
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 _MAX_WAITING = 32  # lines that wait for a reader: one second of one person
 _DEAD = 10.0  # s after which a client that reads nothing is closed; it may reconnect
 _SEND_BUFFER = 2**17  # bytes that the system buffers for a reader: two seconds
-_MAX_REQUEST = 2**10  # bytes; readers have nothing to send
+_MAX_REQUEST = 2**10  # bytes: fits any command
 _GOODBYE = 1.0  # s for the last lines
 
 
@@ -31,20 +30,21 @@ _GOODBYE = 1.0  # s for the last lines
 async def open_sink(
     address: Address,
     access: Access,
-    skeleton: Skeleton,
-    tally: Tally,
-    lost: Callable[[], None],
+    greeting: Callable[[], list[str]],
+    intake: Intake,
 ) -> AsyncIterator[tuple[Broadcast | Engine, Address]]:
     """Yield a destination for poses, and its address in use.
 
-    ``lost`` is called if the reader of standard output ends. Raises InputError if the
-    port is taken or the host is unknown.
+    Readers of lines get those of the ``greeting`` first. The intake takes what readers
+    send, and is told if the reader of standard output has ended. Raises InputError if
+    the port is taken or the host is unknown.
     """
+    tally = intake.tally
     if address.scheme == STANDARD:
-        lines = Broadcast(skeleton, tally, waited_for=True)
+        lines = Broadcast(greeting, intake, waited_for=True)
         printing = lines.serve(lambda line: write_stdout(f"{line}\n"))
         async with meanwhile(printing) as (task,):
-            task.add_done_callback(lambda _: lost())
+            task.add_done_callback(lambda _: intake.ended())
             await asyncio.sleep(0)  # lets it start
             try:
                 yield lines, address
@@ -55,7 +55,7 @@ async def open_sink(
         with open_datagrams(address) as out:
             yield Engine(out, tally), address
     else:
-        lines = Broadcast(skeleton, tally)
+        lines = Broadcast(greeting, intake)
         async with open_server(
             lines.handle, address, access, tally, largest=_MAX_REQUEST
         ) as actual:
@@ -84,6 +84,9 @@ class Engine:
         """Report that a person has left."""
         self._send(person.slot, absence())
 
+    def put(self, line: str) -> None:
+        """Ignore a line about the scene: VMC has no messages for props."""
+
     async def flushed(self) -> None:
         """Return at once: there may be no engine to wait for."""
 
@@ -96,9 +99,13 @@ class Broadcast:
     """Sends lines to all readers; slow readers lose the oldest, which are counted."""
 
     def __init__(
-        self, skeleton: Skeleton, tally: Tally, *, waited_for: bool = False
+        self,
+        greeting: Callable[[], list[str]],
+        intake: Intake,
+        *,
+        waited_for: bool = False,
     ) -> None:
-        self._first, self._tally = skeleton_line(skeleton), tally
+        self._greeting, self._intake, self._tally = greeting, intake, intake.tally
         self._waited_for = waited_for  # the input waits for readers
         self.readers: set[asyncio.Queue[str]] = set()  # lines that wait for each
 
@@ -127,7 +134,8 @@ class Broadcast:
     async def serve(self, write: Callable[[str], Awaitable[None]]) -> None:
         """Write all lines from now on for a new reader, by calling ``write``."""
         lines: asyncio.Queue[str] = asyncio.Queue(_MAX_WAITING)
-        lines.put_nowait(self._first)
+        for line in self._greeting():
+            lines.put_nowait(line)
         self.readers.add(lines)
         try:
             while True:
@@ -147,7 +155,9 @@ class Broadcast:
         out = connection.transport.get_extra_info("socket")
         out.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         try:
-            async with meanwhile(self.serve(write), connection.wait_closed()) as tasks:
+            async with meanwhile(
+                self.serve(write), take_all(self._intake, connection)
+            ) as tasks:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 if tasks[0].done():
                     tasks[0].result()

@@ -78,7 +78,7 @@ async def open_source(
         finally:
             transport.close()
     else:
-        handle = partial(_take_all, intake)
+        handle = partial(take_all, intake)
         async with endpoints.open_server(
             handle, address, access, intake.tally, largest=MAX_MESSAGE
         ) as actual:
@@ -111,7 +111,8 @@ class Receiver(asyncio.DatagramProtocol):
         return self._rates[peer]
 
 
-async def _take_all(intake: Intake, connection: ServerConnection) -> None:
+async def take_all(intake: Intake, connection: ServerConnection) -> None:
+    """Hand all messages of a WebSocket to the intake, until it closes."""
     from websockets.exceptions import ConnectionClosedError
     from websockets.frames import CloseCode
 

@@ -18,6 +18,7 @@ class Event(StrEnum):
 
     FRAMES = "frames in"
     POSES = "poses out"
+    OBEYED = "commands"
     FUSED = "fused from several sensors"
     DROPPED = "dropped for a newer frame"
     LATE = "late"

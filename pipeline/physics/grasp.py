@@ -78,6 +78,16 @@ class Grasp:
         for prop in self.props:
             prop.untie()
 
+    def take_over(self, other: Grasp) -> None:
+        """Hold what one of the same body holds in another world."""
+        for name in ("_away", "_rate", "_beside", "_before", "_leaving"):
+            setattr(self, name, getattr(other, name))
+        if (carry := other._carry) is not None:
+            carry.prop = {prop.name: prop for prop in self.props}[carry.prop.name]
+            if isinstance(carry, Carry):
+                carry.prop.tie(self._now)
+            self._carry = carry
+
     @property
     def held(self) -> Holdable | None:
         """What the hands hold."""

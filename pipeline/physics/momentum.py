@@ -43,6 +43,10 @@ class Momentum:
         self._before = np.zeros(3)
         self.forget()
 
+    def take_over(self, other: Momentum) -> None:
+        """Go on from the momentum of the same body in another world."""
+        self._before = other._before
+
     def forget(self) -> None:
         """Forget the forces that were added, because the frame is simulated again."""
         self._forces, self._pulled = np.zeros(3), np.zeros(len(self._pulling))

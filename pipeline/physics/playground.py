@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -29,19 +28,16 @@ from kinefilter.retarget.stance import smooth_step
 from .grasp import seen_hands
 from .pulled_character import PulledCharacter
 from .scene_props import SceneProps
+from .shared_scene import HERE
+from .thrown_balls import ThrownBalls, is_parked
 from .world import World
 
 RATE = 30.0  # frame rate [1/s] of the motion and of recordings
-_BALL_MASS, _BALL_SPEED = 5.0, 10.0  # kg, m/s
-_BALLS, _BALL_RADIUS = 6, 0.13  # m: a medicine ball
-_BALL = "thrown ball"
-_BALL_COLOR = (0.75, 0.22, 0.17, 1.0)
-_PARKED = (-300.0, 0.0)  # m: where balls wait on the floor, too far away to be seen
+_BALL_SPEED = 10.0  # m/s
 _PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
 _STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
 _BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
 _BESIDE = 0.6  # m between the reach of characters who start beside each other
-_HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 
 
@@ -76,15 +72,16 @@ class Playground:
     def _set_up(self) -> None:
         bodies = [motion.body for motion in self.motions]
         tracking = TRACKINGS[self.tracking]
-        self.world = World(bodies, tracking, scene=self.scene, extend=_add_balls)
+        self._balls = ThrownBalls()
+        extend = self._balls.add_to
+        self.world = World(bodies, tracking, scene=self.scene, extend=extend)
         self.characters = tuple(
             PulledCharacter(body, tracking, world=self.world) for body in bodies
         )
         self.character = self.characters[0]
         self._pairs = list(zip(self.characters, self.motions, strict=True))
-        model, roots = self.world.model, [c.root_body for c in self.characters]
+        roots = [character.root_body for character in self.characters]
         self.scene_props = SceneProps(self.world.data, roots, 1)
-        self._balls = cycle([model.joint(f"{_BALL} {k + 1}") for k in range(_BALLS)])
         self._dragged: tuple[int, int, Array, Array] | None = None
         self.resets = 0
         self.restart()
@@ -208,16 +205,14 @@ class Playground:
 
     def throw(self, origin: ArrayLike, direction: ArrayLike) -> None:
         """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
-        ball = next(self._balls)
-        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        joint = self.world.data.joint(ball.id)
-        joint.qpos[:3], joint.qvel[:] = start, 0.0
-        joint.qvel[:3] = _BALL_SPEED * (way / np.linalg.norm(way))
+        way = np.asarray(direction, dtype=float)
+        velocity = _BALL_SPEED * (way / np.linalg.norm(way))
+        self._balls.throw(self.world.data, origin, velocity)
 
     @property
     def props(self) -> tuple[Prop, ...]:
         """All props where they are now."""
-        return self.scene_props.props(_HERE)
+        return self.scene_props.props(HERE)
 
     @property
     def doing(self) -> str:
@@ -244,7 +239,7 @@ class Playground:
         columns = map(np.array, zip(*frames, strict=True))
         steps, root, rotations, contacts, force, poses = columns
         current, self.scene_props.poses = self.scene_props.poses, poses
-        props = tuple(prop for prop in self.props if not _is_parked(prop))
+        props = tuple(prop for prop in self.props if not is_parked(prop))
         self.scene_props.poses = current
         time, body = np.cumsum(steps) - steps[0], played.body
         moved = {"time": time, "root": root, "rotations": rotations}
@@ -298,25 +293,3 @@ def _closed(clip: Clip, place: HeadingFrame) -> Clip:
         source=clip.source,
     )
     return Clip.of(motion, contacts=np.concatenate([clip.contacts, contacts]))
-
-
-def _add_balls(spec: mujoco.MjSpec) -> None:
-    x, y = _PARKED
-    for k in range(_BALLS):
-        name, place = f"{_BALL} {k + 1}", [x, y + 3.0 * k * _BALL_RADIUS, _BALL_RADIUS]
-        ball = spec.worldbody.add_body(name=name, pos=place)
-        ball.add_freejoint(name=name)
-        ball.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[_BALL_RADIUS, 0.0, 0.0],
-            mass=_BALL_MASS,
-            condim=6,
-            friction=[0.8, 0.005, 0.01],
-            rgba=_BALL_COLOR,
-        )
-
-
-def _is_parked(prop: Prop) -> bool:
-    far = to_mujoco(prop.positions)[:, 0] < 0.9 * _PARKED[0]
-    return prop.name.startswith(_BALL) and bool(far.all())

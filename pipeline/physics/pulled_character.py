@@ -80,7 +80,8 @@ class PulledCharacter:
         first, speed = int(free.qposadr[0]), int(free.dofadr[0])
         self._root = slice(first, first + 7)
         self._speeds = slice(speed, speed + 6 + 3 * len(ends))
-        number = world.add(self, slice(first, first + 7 + 4 * len(ends)), self._speeds)
+        self._places = slice(first, first + 7 + 4 * len(ends))
+        number = world.add(self, self._places, self._speeds)
         # For each body of the model the joint at its end, -1 if not the character's.
         self.joint_of = np.full(model.nbody, -1)
         self.joint_of[self._bodies] = np.arange(len(joints))
@@ -144,6 +145,19 @@ class PulledCharacter:
             self._was_limp = self.limp
             self.compliance.start()
         self._place(*self._target)
+
+    def take_over(self, other: PulledCharacter) -> None:
+        """Go on from where one of the same body is in another world."""
+        self.data.qpos[self._places] = other.data.qpos[other._places]
+        self.data.qvel[self._speeds] = other.data.qvel[other._speeds]
+        mujoco.mj_kinematics(self.model, self.data)
+        self._target, self._velocity = other._target, other._velocity
+        self._pushes, self.limp, self._limbs = other._pushes, other.limp, other._limbs
+        if self.compliance is not None:
+            self.compliance, self._was_limp = other.compliance, other._was_limp
+        self.grasp.take_over(other.grasp)
+        self.feet.take_over(other.feet)
+        self.momentum.take_over(other.momentum)
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push the part of the body that ends at a joint for the next seconds.

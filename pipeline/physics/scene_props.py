@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,6 +25,7 @@ _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
     int(mujoco.mjtGeom.mjGEOM_MESH): ("mesh", [0, 1, 2]),
 }
 """Kind of shape by type of geom, and which of its sizes are the half extents."""
+_FREE = mujoco.mjtJoint.mjJNT_FREE
 _LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
@@ -70,6 +72,19 @@ class SceneProps:
 
     def _name(self, body: int) -> str:
         return self._model.body(body).name or f"body{body}"
+
+    def name_of(self, geom: int) -> str:
+        """Return the name of the prop that a geom of the model is part of."""
+        body = int(self._model.geom_bodyid[geom])
+        return self._name(body) if body else self._model.geom(geom).name or "floor"
+
+    def free_joint(self, name: str) -> Any:
+        """Return the joint, in MuJoCo's data, of a prop that moves freely, or None."""
+        for body in self._moving:
+            joint = int(self._model.body_jntadr[body])
+            if self._name(body) == name and self._model.jnt_type[joint] == _FREE:
+                return self._data.joint(joint)
+        return None
 
     def props(self, place: HeadingFrame) -> tuple[Prop, ...]:
         """Return the props and their motion in the world frame of a take.

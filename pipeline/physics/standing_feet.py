@@ -31,6 +31,12 @@ class StandingFeet:
         self._load, self._pressing = np.zeros((2, 2))
         self.settle()
 
+    def take_over(self, other: StandingFeet) -> None:
+        """Bear what those of the same body bear in another world."""
+        self._load = other._load
+        self._carried: float = other._carried
+        self.lifting: float = other.lifting
+
     def settle(self) -> None:
         """Assume that the pulls carry the body at rest."""
         self._carried = self.lifting = self._weight

@@ -101,6 +101,13 @@ class World:
             data.qpos[self._props] = self.model.qpos0[self._props]
             data.qvel[self._owner == _PROP] = 0.0
 
+    def take_props(self, other: World) -> None:
+        """Put the props where they are, moving as they do, in the same scene."""
+        mine, theirs = self._owner == _PROP, other._owner == _PROP
+        self.data.qpos[self._props] = other.data.qpos[other._props]
+        self.data.qvel[mine] = other.data.qvel[theirs]
+        mujoco.mj_kinematics(self.model, self.data)
+
     def follow(self, moves: Sequence[Move], stands: Sequence[Flags | None]) -> Flags:
         """Pull each character through its move, all of which take the same time.
 
