@@ -30,7 +30,8 @@ from scipy.spatial.transform import Rotation
 
 from kinefilter import Avatar, Pose
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.live.vmc import LARGEST_BUNDLE, VmcFigure
+from kinefilter.pipeline.live.osc import LARGEST_BUNDLE
+from kinefilter.pipeline.live.vmc import VmcFigure
 from kinefilter.retarget.retargeting import turned
 from kinefilter.retarget.rig_map import load_rig_map
 from kinefilter.retarget.target_rig import built_rig

@@ -37,8 +37,9 @@ class Live:
     """Stream cleaned poses frame by frame to games, engines and browsers.
 
     --out vmc://127.0.0.1:39539 drives a VMC receiver, and a second person the receiver
-    on the next port; --out ws://127.0.0.1:9001 sends poses to web pages that this
-    machine serves (one opened as a file needs --origin null), which read them with new
+    on the next port; --out vrchat://127.0.0.1:9000 moves an avatar in VRChat; --out
+    ws://127.0.0.1:9001 sends poses to web pages that this machine serves (one opened as
+    a file needs --origin null), which read them with new
     WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data). Each person is
     measured during the first second unless --height is given. A sensor that is upside
     down or strongly tilted is reported and corrected for. The newest frame wins; late,

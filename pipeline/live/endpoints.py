@@ -39,7 +39,8 @@ _ADDRESS = re.compile(
     r"([a-z]+)://(?:\[([0-9a-f:.%]+)\]|([^]/:@?#\s[]+)):([0-9]{1,5})/?"
 )
 _SOURCES = ("udp", "ws", "wss", STANDARD)
-_TARGETS = ("vmc", "ws", "wss", STANDARD)
+ENGINES = ("vmc", "vrchat")  # take OSC messages
+_TARGETS = (*ENGINES, "ws", "wss", STANDARD)
 _MIN_TOKEN = 16  # characters; shorter tokens can be guessed
 _MAX_TOKEN_FILE = 2**12  # bytes
 MAX_CONNECTIONS = 8  # senders or readers per port: a room of sensors. A guess
@@ -52,7 +53,7 @@ _SILENT.disabled = True
 class Address(NamedTuple):
     """One end of a connection."""
 
-    scheme: str  # udp, ws, wss, vmc, or - for standard input or output
+    scheme: str  # udp, ws, wss, vmc, vrchat, or - for standard input or output
     host: str = ""  # name or IP address of the machine
     port: int = 0  # 0 lets the system choose a port to listen on
 
@@ -141,8 +142,8 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
     schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
-    if "vmc" in schemes:
-        require("pythonosc", "VMC", "live")
+    if schemes & set(ENGINES):
+        require("pythonosc", "OSC", "live")
     token = None if access.token_file is None else read_token(access.token_file)
     if token is None and access.bind is not None and not is_loopback(access.bind):
         token = secrets.token_urlsafe()

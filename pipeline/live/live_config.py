@@ -42,7 +42,8 @@ class LiveConfig:
     or standard input with -. If several sensors see the same people, give it once per
     sensor, starting with the sensor whose frames arrive last."""
     out: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="ADDRESS")]]
-    """Where to send poses: vmc://HOST:PORT for an engine, ws://HOST:PORT or
+    """Where to send poses: vmc://HOST:PORT for an engine that takes VMC,
+    vrchat://HOST:PORT for VRChat's OSC trackers (port 9000), ws://HOST:PORT or
     wss://HOST:PORT to accept connections from browsers, or - for standard output; may
     be given several times."""
     record: Path | None = None

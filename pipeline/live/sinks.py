@@ -10,11 +10,20 @@ from typing import TYPE_CHECKING
 
 from .background import meanwhile, write_stdout
 from .crowd import Presence
-from .endpoints import STANDARD, Access, Address, Datagrams, open_datagrams, open_server
+from .endpoints import (
+    ENGINES,
+    STANDARD,
+    Access,
+    Address,
+    Datagrams,
+    open_datagrams,
+    open_server,
+)
 from .messages import LivePose, gone_line, pose_line
 from .sources import Intake, take_all
 from .tally import Event, Tally
 from .vmc import VmcFigure, absence
+from .vrchat import VrchatFigure
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -51,9 +60,9 @@ async def open_sink(
             finally:
                 with suppress(TimeoutError):
                     await asyncio.wait_for(lines.flushed(), _GOODBYE)
-    elif address.scheme == "vmc":
+    elif address.scheme in ENGINES:
         with open_datagrams(address) as out:
-            yield Engine(out, tally), address
+            yield Engine(out, tally, address.scheme), address
     else:
         lines = Broadcast(greeting, intake)
         async with open_server(
@@ -65,16 +74,18 @@ async def open_sink(
 class Engine:
     """Sends each person to a port of their own: PORT, PORT+1 and so on."""
 
-    def __init__(self, out: Datagrams, tally: Tally) -> None:
+    def __init__(self, out: Datagrams, tally: Tally, scheme: str = "vmc") -> None:
         self._out, self._tally = out, tally
-        self._figures: dict[int, VmcFigure] = {}
+        self._vrchat = scheme == "vrchat"
+        self._figures: dict[int, VmcFigure | VrchatFigure] = {}
         self._first: float | None = None  # time stamp of the first pose [s]
 
     def send(self, live: LivePose) -> None:
         """Send a pose."""
         figure = self._figures.get(live.slot)
         if figure is None or figure.body is not live.body:
-            figure = self._figures[live.slot] = VmcFigure(live.body)
+            figure = (VrchatFigure if self._vrchat else VmcFigure)(live.body)
+            self._figures[live.slot] = figure
         if self._first is None:
             self._first = live.time
         for datagram in figure.bundles(live.pose, live.time - self._first):
@@ -82,10 +93,11 @@ class Engine:
 
     def gone(self, person: Presence) -> None:
         """Report that a person has left."""
-        self._send(person.slot, absence())
+        if not self._vrchat:  # where trackers that are not sent vanish
+            self._send(person.slot, absence())
 
     def put(self, line: str) -> None:
-        """Ignore a line about the scene: VMC has no messages for props."""
+        """Ignore a line about the scene: engines have no messages for props."""
 
     async def flushed(self) -> None:
         """Return at once: there may be no engine to wait for."""

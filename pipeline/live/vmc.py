@@ -4,29 +4,21 @@ A pose is the person on VRM's skeleton (``retarget/rigs/vrm.toml``) in the perso
 size. Each bone has Unity's name, and position [m] and rotation (xyzw) relative to its
 parent; the hips are relative to the root, which stays at the world origin. Unity's axes
 are left-handed: x is mirrored.
-
-Packing OSC messages takes half a millisecond, so they are packed once; overwriting
-their floats for each pose takes a tenth of that.
 """
-
-import struct
-from collections.abc import Sequence
 
 import numpy as np
 
 from kinefilter.characters import Body, Motion
-from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate, slerp
 from kinefilter.pipeline.avatar import Pose
 from kinefilter.retarget.retargeting import segment_of, turned
 from kinefilter.retarget.rig_map import SIDES, load_rig_map
 from kinefilter.retarget.target_rig import built_rig
 
-LARGEST_BUNDLE = 1400  # bytes that fit into an Ethernet packet, so that none is split
-_HEAD = b"#bundle\0" + bytes(7) + b"\1"  # of a bundle to be shown immediately
+from .osc import MIRRORED, TURNED, Bundles, message
+
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # x, y, z [m], then xyzw
-_MIRRORED = np.array([-1.0, 1.0, 1.0])
-_TURNED = np.array([1.0, 1.0, -1.0, -1.0])  # wxyz
 
 
 class VmcFigure:
@@ -65,12 +57,12 @@ class VmcFigure:
         ours = body.rest_positions[skeleton.sides("Ankle"), 1].mean()
         self._higher = [0.0, positions[feet, 1].mean() - self.rig.floor - ours, 0.0]
         changes = (np.nan,) * len(_AT_ORIGIN)
-        self._bundles = _bundles(
+        self._bundles = Bundles(
             [
-                _message("/VMC/Ext/OK", 1),
-                _message("/VMC/Ext/T", np.nan),
-                _message("/VMC/Ext/Root/Pos", "root", *changes),
-                *(_message("/VMC/Ext/Bone/Pos", n, *changes) for n in self._names),
+                message("/VMC/Ext/OK", 1),
+                message("/VMC/Ext/T", np.nan),
+                message("/VMC/Ext/Root/Pos", "root", *changes),
+                *(message("/VMC/Ext/Bone/Pos", n, *changes) for n in self._names),
             ]
         )
 
@@ -87,8 +79,8 @@ class VmcFigure:
         local = self._local.copy()
         hips = pose.positions[self.body.skeleton.hips].mean(axis=0) + self._higher
         local[self._root] = hips + rotate(turns[self._root], self._over)
-        rotations = multiply(inverse(above), turns) * _TURNED
-        bones = zip(local * _MIRRORED, rotations, strict=True)
+        rotations = multiply(inverse(above), turns) * TURNED
+        bones = zip(local * MIRRORED, rotations, strict=True)
         return dict(zip(self._names, bones, strict=True))
 
     def bundles(self, pose: Pose, seconds: float) -> list[bytes]:
@@ -98,36 +90,10 @@ class VmcFigure:
         """
         bones = self.bones(pose).values()
         places = [[*position, *turn[1:], turn[0]] for position, turn in bones]
-        values = np.array([seconds, *_AT_ORIGIN, *np.ravel(places)], dtype=">f4")
-        packets = []
-        for words in self._bundles:
-            changed = np.flatnonzero(np.isnan(words))  # true of no other words
-            packet = words.copy()
-            packet[changed], values = values[: len(changed)], values[len(changed) :]
-            packets.append(packet.tobytes())
-        return packets
+        values = [seconds, *_AT_ORIGIN, *np.ravel(places)]
+        return self._bundles.filled(np.array(values))
 
 
 def absence() -> bytes:
     """Return the message that there is no person."""
-    return _message("/VMC/Ext/OK", 0)
-
-
-def _message(address: str, *values: str | int | float) -> bytes:
-    from pythonosc.osc_message_builder import OscMessageBuilder
-
-    builder = OscMessageBuilder(address)
-    for value in values:
-        builder.add_arg(value)
-    return bytes(builder.build().dgram)
-
-
-def _bundles(messages: Sequence[bytes]) -> list[Singles]:
-    """Return bundles that fit into packets, as OSC's words of four bytes."""
-    bundles = [_HEAD]
-    for message in messages:
-        sized = struct.pack(">i", len(message)) + message
-        if len(bundles[-1]) + len(sized) > LARGEST_BUNDLE:
-            bundles.append(_HEAD)
-        bundles[-1] += sized
-    return [np.frombuffer(bundle, dtype=">f4") for bundle in bundles]
+    return message("/VMC/Ext/OK", 0)
