@@ -1,21 +1,43 @@
-"""Poses in a real browser: its own pages get them, those of elsewhere do not."""
+"""Poses in a real browser: its own pages get and draw them, others do not."""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from browser import Browser
-from live_session import SAMPLE, WS, Sender, config, running, sample_frame
+from live_session import SAMPLE, WS, Sender, config, do, running, sample_frame
 
+from kinefilter.characters import KINECT_V1, Clip, Motion, standard_body
+from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.live.live_config import AccessConfig
+from kinefilter.pipeline.live.tally import Event
 
+WINDOW = {"size": (900, 640), "webgl": True}  # of the browser
+_THREE = os.environ.get("KINEFILTER_THREE", "")
+_PLACES = """
+const person = people.get(arguments[0]), places = {};
+if (!person) return null;
+person.traverse((bone) => {
+    if (bone.isBone) places[bone.name] = Array.from(bone.matrixWorld.elements).slice(12, 15);
+});
+return [places, person.userData.positions];
+"""
+_CLICK = """
+const [x, y, z] = people.get(arguments[0]).userData.positions[arguments[1]];
+const at = camera.position.clone().set(x, y, z).project(camera), canvas = document.querySelector("canvas");
+const clientX = innerWidth * (1 + at.x) / 2, clientY = innerHeight * (1 - at.y) / 2;
+canvas.dispatchEvent(new MouseEvent("click", { clientX, clientY }));
+"""
 _TOKEN = "0123456789abcdef"
 _THREE_LINES = """
 return new Promise(done => {
@@ -82,3 +104,48 @@ def test_a_page_of_this_machine_draws_poses_and_a_file_from_anywhere_does_not(
         assert len(poses[0]["positions"]) == len(names["joints"])
 
     asyncio.run(session())
+
+
+@pytest.mark.skipif(not _THREE, reason="no three.js in KINEFILTER_THREE")
+def test_the_example_page_draws_people_where_they_are_and_pushes_them(
+    browser: Browser, page: tuple[Path, str], tmp_path: Path
+) -> None:
+    body = standard_body(KINECT_V1, height=1.8)
+    turns, root = (
+        np.tile([1.0, 0.0, 0.0, 0.0], (2, len(KINECT_V1), 1)),
+        np.zeros((2, 3)),
+    )
+    still = Motion(time=np.array([0.0, 1.0]), body=body, root=root, rotations=turns)
+    write_clip(Clip.of(still), tmp_path / "avatar.glb")
+    example = files("kinefilter.scenes") / "examples" / "avatar.html"
+    (tmp_path / "avatar.html").write_bytes(example.read_bytes())
+    (tmp_path / "node_modules").symlink_to(Path(_THREE) / "node_modules")
+    chest, served = KINECT_V1.girdle, page[1].replace("page.html", "avatar.html")
+
+    async def session() -> None:
+        async with running(config(scene="box")) as (run, (source, out)):
+            sender, sent, drawn = Sender(source), 0, None
+
+            async def asked(script: str, *arguments: object) -> Any:
+                return await asyncio.to_thread(browser.run, script, *arguments)
+
+            await asyncio.to_thread(browser.open, f"{served}?poses={out}")
+            loaded = "return Boolean(window.people)"
+            while not await asked(loaded):
+                await asyncio.sleep(0.1)
+            while drawn is None or sent < 40:
+                sender.send(sample_frame(sent, "1", "2"))
+                sent += 1
+                drawn = await asked(_PLACES, "2")
+            await asyncio.sleep(0.5)  # for the page to draw the last
+            places, positions = await asked(_PLACES, "2")
+            for name, position in zip(KINECT_V1.joints, positions, strict=True):
+                assert np.abs(np.subtract(places[name], position)).max() < 1e-3
+            for far in (chest, KINECT_V1.index("HandLeft")):
+                before = run.tally.events[Event.OBEYED]
+                await asked(_CLICK, "2", far)
+                while run.tally.events[Event.OBEYED] == before:
+                    await asyncio.sleep(0.05)
+            assert not run.tally.malformed
+
+    do(session())
