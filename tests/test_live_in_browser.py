@@ -28,15 +28,17 @@ _PLACES = """
 const person = people.get(arguments[0]), places = {};
 if (!person) return null;
 person.traverse((bone) => {
-    if (bone.isBone) places[bone.name] = Array.from(bone.matrixWorld.elements).slice(12, 15);
+    const { elements } = bone.matrixWorld;
+    if (bone.isBone) places[bone.name] = elements.slice(12, 15);
 });
 return [places, person.userData.positions];
 """
 _CLICK = """
 const [x, y, z] = people.get(arguments[0]).userData.positions[arguments[1]];
-const at = camera.position.clone().set(x, y, z).project(camera), canvas = document.querySelector("canvas");
+const at = camera.position.clone().set(x, y, z).project(camera);
 const clientX = innerWidth * (1 + at.x) / 2, clientY = innerHeight * (1 - at.y) / 2;
-canvas.dispatchEvent(new MouseEvent("click", { clientX, clientY }));
+const click = new MouseEvent("click", { clientX, clientY });
+document.querySelector("canvas").dispatchEvent(click);
 """
 _TOKEN = "0123456789abcdef"
 _THREE_LINES = """
