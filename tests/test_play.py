@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from live_session import UDP, Sender, do, sample_frame
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import TRACKINGS, Clip, InputError, Tracking
+from kinefilter.characters import KINECT_V1, TRACKINGS, Clip, InputError, Tracking
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_clip, write_clip
+from kinefilter.pipeline.live.live_config import LiveConfig
+from kinefilter.pipeline.live.live_session import Session
+from kinefilter.pipeline.look.live_page import LivePage
 from kinefilter.pipeline.look.player import Player
 from kinefilter.pipeline.look.viewer_server import opened_server
 from kinefilter.pipeline.physics.playground import RATE, Playground
@@ -232,6 +239,42 @@ def test_people_of_one_recording_keep_their_places(motion: Clip) -> None:
     assert np.linalg.norm(away) == pytest.approx(np.hypot(1.0, 0.5), abs=1e-6)
 
 
+def test_people_in_front_of_a_sensor_play_on_the_page() -> None:
+    async def session() -> None:
+        what = LiveConfig((UDP,), (), skeleton="kinect_v1", scene="box", height=1.8)
+        live, stop = Session(what, shown=True), asyncio.Event()
+        scene = live.scene
+        assert scene is not None
+        with opened_server() as server:
+            page, row = LivePage(server, live), itertools.count()
+            with pytest.raises(InputError, match="nobody"):
+                page._throw_at(None)  # type: ignore[arg-type]
+            drawing = asyncio.ensure_future(page.follow())
+            drawing.add_done_callback(lambda _: stop.set())
+            used = asyncio.get_running_loop().create_future()
+            running = asyncio.ensure_future(live.run(stop, used.set_result))
+            sender = Sender((await used)[0])
+
+            async def until(done: Callable[[], bool], *bodies: str) -> None:
+                while not done():
+                    sender.send(sample_frame(next(row), *bodies))
+                    await asyncio.sleep(1 / 30)
+
+            await until(lambda: len(page._figures) == 1, "1")
+            assert len(page._moving) == len(scene.scene_props.moving) > 1
+            page._let_go(None)
+            heads = KINECT_V1.index("Head")
+            await until(lambda: scene.characters[0].positions[heads, 1] < 0.8, "1")
+            await until(lambda: len(page._figures) == 2, "1", "2")
+            assert scene.characters[0].limp
+            assert "people" in page._status.content
+            page.stop()
+            await running
+            await drawing
+
+    do(session())
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -240,6 +283,8 @@ def test_people_of_one_recording_keep_their_places(motion: Clip) -> None:
         (["--take", "absent.csv"], "absent.csv"),
         (["--port", "-1"], "--port -1"),
         (["--take", "a.csv", "--take", "b.csv", "--body", "all"], "single --take"),
+        (["--take", "a.csv", "--in", UDP], "only one of them"),
+        (["--in", "http://127.0.0.1:1"], "not an address"),
     ],
 )
 def test_what_cannot_be_played_is_refused(

@@ -38,7 +38,7 @@ def test_nobody_notices_who_comes_and_goes_out_of_reach() -> None:
         if row == 40:
             other.leave()
         scene.advance()
-        assert len(scene.characters) == 1 + (20 <= row < 40)
+        assert len(scene.people) == 1 + (20 <= row < 40)
         wanted = alone.step(seen, time, state)
         np.testing.assert_allclose(one.pose.positions, wanted.positions, atol=1e-6)
         force = one.pose.external_force - wanted.external_force

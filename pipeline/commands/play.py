@@ -1,6 +1,8 @@
 """The command ``play``."""
 
+import asyncio
 import webbrowser
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +15,11 @@ from kinefilter.pipeline.config import CleanConfig, TakeFormat
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats.clips import check_writable
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
+from kinefilter.pipeline.live.background import meanwhile
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.settings import Settings
 
-from .terminal import keep, out, progress_bars
+from .terminal import keep, out, progress_bars, stopped_by_signals
 
 
 @dataclass(frozen=True)
@@ -26,8 +29,9 @@ class Play:
     Prints the address of a page. The character performs a take in a loop; drag it or
     throw balls with the mouse, and use buttons and keys to release and reattach it,
     pause, slow down, restart, and record a clip. Several characters share the scene and
-    push each other, and each is recorded to a clip of its own. Needs pip install
-    "kinefilter[view]".
+    push each other, and each is recorded to a clip of its own. With --in, the people in
+    front of a sensor play instead. Needs pip install "kinefilter[view]", and for --in
+    "kinefilter[live]".
     """
 
     scene: Annotated[Positional[str], arg(metavar="SCENE")] = "basic"
@@ -37,6 +41,14 @@ class Play:
     """The motion to perform: a take in any of the formats of --format, or a clip (.npz,
     USD or GLB); default: the sample take. Repeat it for several characters, who begin
     beside each other."""
+    sources: UseAppendAction[
+        Annotated[tuple[str, ...], arg(name="in", metavar="ADDRESS")]
+    ] = ()
+    """Where to listen for frames of people, as for 'live'; instead of --take."""
+    skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
+    """Skeleton whose joints these frames contain."""
+    height: float | None = None
+    """Height of these people [m]; default: each is measured in the first second."""
     format: TakeFormat | None = None
     """Format of the take; default: detected from its content."""
     body: int | Literal["all"] | None = None
@@ -66,6 +78,8 @@ class Play:
         from kinefilter.scenes import SAMPLE  # loads mujoco
 
         check_address(self.bind, self.port)
+        if self.sources:
+            return self._live()
         check_writable(self.save)
         keep(self.save, *self.take)
         if self.body == "all" and len(self.take) > 1:
@@ -86,6 +100,38 @@ class Play:
                 finally:
                     if (ground.recording or 0) > 1:
                         out.print(player.save_recording())
+        return 0
+
+    def _live(self) -> int:
+        """Serve the page of the people in front of sensors until interrupted."""
+        require("websockets", "following people", "live")
+        from kinefilter.pipeline.live.live_config import LiveConfig
+        from kinefilter.pipeline.live.live_session import Session
+        from kinefilter.pipeline.look.live_page import LivePage
+        from kinefilter.pipeline.look.viewer_server import opened_server
+
+        if self.take:
+            raise InputError("--in is played instead of --take; give only one of them")
+        how = {name: getattr(self, name) for name in ("scene", "tracking", "height")}
+        config = LiveConfig(self.sources, (), skeleton=self.skeleton, **how)
+        session = Session(config, shown=True)
+        with opened_server(self.bind, self.port) as server:
+            page = LivePage(server, session)
+
+            def started(used: Sequence[object]) -> None:
+                heard = ", ".join(map(str, used))
+                out.print(f"{page.address} plays {heard}; press Ctrl-C to quit")
+                if self.open:
+                    webbrowser.open(page.address)
+
+            async def follow() -> None:
+                stop = asyncio.Event()
+                with stopped_by_signals(stop):
+                    async with meanwhile(page.follow()) as (drawing,):
+                        drawing.add_done_callback(lambda _: stop.set())
+                        await session.run(stop, started)
+
+            asyncio.run(follow())
         return 0
 
     def _motions(self, path: Path) -> list[Clip]:

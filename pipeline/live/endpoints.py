@@ -118,8 +118,10 @@ class Endpoints(NamedTuple):
     access: Access  # to either
 
 
-def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
-    """Return where frames come from and poses go.
+def find_endpoints(
+    config: LiveConfig, access: AccessConfig, *, shown: bool = False
+) -> Endpoints:
+    """Return where frames come from and poses go, nowhere if they are only ``shown``.
 
     If other machines can connect there is a token, from the file or a new one. Raises
     InputError if an address or a file is wrong, other machines could connect without
@@ -134,7 +136,7 @@ def find_endpoints(config: LiveConfig, access: AccessConfig) -> Endpoints:
             f"--in {again[0]} is given twice; each sensor needs a port of its own"
         )
     ends = sources + [parse_address(out, _TARGETS) for out in config.out]
-    if len(ends) == len(sources):
+    if len(ends) == len(sources) and not shown:
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):
         if end.scheme in ("udp", "ws", "wss"):

@@ -63,13 +63,22 @@ class Session:
     Poses are computed in the event loop itself, because waking a thread for each takes
     milliseconds on a busy machine. Between two poses, all frames that have arrived are
     taken in; if poses fall behind, each person's newest frame waits and older ones are
-    dropped. Raises InputError if the configuration is wrong or a package is missing.
+    dropped. If they are ``shown``, by whoever draws the ``scene``, there need not be
+    anywhere that they go. Raises InputError if the configuration is wrong or a package
+    is missing.
     """
 
-    def __init__(self, config: LiveConfig, access: AccessConfig | None = None) -> None:
+    def __init__(
+        self,
+        config: LiveConfig,
+        access: AccessConfig | None = None,
+        *,
+        shown: bool = False,
+    ) -> None:
         self.tally = Tally()
         self.recorded: list[Path] = []  # files, once the recording is finished
-        self.endpoints = find_endpoints(config, access or AccessConfig())
+        access = access or AccessConfig()
+        self.endpoints = find_endpoints(config, access, shown=shown)
         most = _MOST_BODIES if config.scene is None else MOST_CHARACTERS
         if not 1 <= config.bodies <= most:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {most}")
@@ -186,7 +195,7 @@ class Session:
                 avatar.push(command.joint, command.force, float(command.seconds))
                 done = True
         elif scene is not None and isinstance(command, Throw):
-            done = scene.throw(*command)
+            done = scene.send_ball(*command)
         elif scene is not None and isinstance(command, Place):
             done = scene.place(*command)
         if not done:
@@ -254,11 +263,11 @@ class Session:
             quiet = 0 if self._came.is_set() else quiet + 1
 
     def _pose(self, *turns: tuple[Presence, PendingFrame]) -> None:
-        world = self.scene and self.scene.world
+        people = self.scene and self.scene.people
         posed = [turn for turn in turns if self._follow(*turn)]
         if self.scene is not None:
             self.scene.advance()
-            if self.scene.world is not world:
+            if self.scene.people is not people:
                 self._tell(self._scene_line())
         for presence, frame in posed:
             self._send(presence, frame)
@@ -303,7 +312,7 @@ class Session:
     def _greeting(self) -> list[str]:
         """Return the lines that every reader gets first."""
         lines = [skeleton_line(self._skeleton)]
-        if self.scene is not None and self.scene.world is not None:
+        if self.scene is not None and self.scene.has_world:
             lines.append(self._scene_line())
         return lines
 

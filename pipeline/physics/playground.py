@@ -8,40 +8,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
-from kinefilter.characters import TRACKINGS, Clip, InputError, Motion, Prop
+from kinefilter.characters import TRACKINGS, Clip, InputError, Motion
 from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import slerp
 from kinefilter.characters.tracking import TrackingName
 from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.bent_limb import at_most
 from kinefilter.retarget.stance import smooth_step
 
 from .grasp import seen_hands
+from .playable import Playable
 from .pulled_character import PulledCharacter
-from .scene_props import SceneProps
-from .shared_scene import HERE
-from .thrown_balls import ThrownBalls, is_parked
-from .world import World
+from .thrown_balls import is_parked
 
 RATE = 30.0  # frame rate [1/s] of the motion and of recordings
-_BALL_SPEED = 10.0  # m/s
-_PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
-_STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
 _BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
 _BESIDE = 0.6  # m between the reach of characters who start beside each other
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 
 
-class Playground:
+class Playground(Playable):
     """An interactive simulation for a page or a game, in the scene's frame, y up.
 
     Each motion is moved so that it begins facing +z, the first at the origin and the
@@ -72,17 +63,9 @@ class Playground:
     def _set_up(self) -> None:
         bodies = [motion.body for motion in self.motions]
         tracking = TRACKINGS[self.tracking]
-        self._balls = ThrownBalls()
-        extend = self._balls.add_to
-        self.world = World(bodies, tracking, scene=self.scene, extend=extend)
-        self.characters = tuple(
-            PulledCharacter(body, tracking, world=self.world) for body in bodies
-        )
+        self._gather(bodies, tracking, self.scene)
         self.character = self.characters[0]
         self._pairs = list(zip(self.characters, self.motions, strict=True))
-        roots = [character.root_body for character in self.characters]
-        self.scene_props = SceneProps(self.world.data, roots, 1)
-        self._dragged: tuple[int, int, Array, Array] | None = None
         self.resets = 0
         self.restart()
 
@@ -120,10 +103,7 @@ class Playground:
             began, now = (int(t * RATE) // len(motion) for t in (before, self.time))
             if now > began:
                 self._put_back(character)
-        if self._dragged is not None:
-            number, joint, grabbed, pointer = self._dragged
-            away = pointer - self.characters[number].positions[joint] - grabbed
-            self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
+        self._pull_dragged(dt)
         moves, feet = [], []
         for character, motion in self._pairs:
             positions, rotations, stands = self._target(motion)
@@ -167,58 +147,6 @@ class Playground:
         stands = planted_feet(motion.contacts[[first]])[0]
         return positions_from_rotations(turns, root, motion.body), turns, stands
 
-    def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
-        """Return what a ray hits first if it is a character: its number and a joint."""
-        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
-        model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
-        hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
-        body = model.geom_bodyid[geom[0]]
-        for number, character in enumerate(self.characters):
-            if hit >= 0.0 and character.joint_of[body] >= 0:
-                return number, int(character.joint_of[body])
-        return None
-
-    def shove(self, joint: int, direction: ArrayLike, number: int = 0) -> None:
-        """Push the part that ends at a character's joint as hard as a person shoves."""
-        way = np.asarray(direction, dtype=float)
-        self._push(number, joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
-
-    def _push(self, number: int, joint: int, force: Array, seconds: float) -> None:
-        name = self.motions[number].skeleton.joints[joint]
-        self.characters[number].push(name, force, seconds)
-
-    def drag(
-        self, joint: int, grabbed: ArrayLike, pointer: ArrayLike, number: int = 0
-    ) -> None:
-        """Pull the part that ends at a joint to a pointer [m], (3,), until ``release``.
-
-        Only the first call of a drag uses the place where it is ``grabbed`` [m], (3,).
-        """
-        offset = np.asarray(grabbed) - self.characters[number].positions[joint]
-        if self._dragged is not None and self._dragged[:2] == (number, joint):
-            offset = self._dragged[2]
-        self._dragged = number, joint, offset, np.asarray(pointer, dtype=float)
-
-    def release(self) -> None:
-        """End a drag."""
-        self._dragged = None
-
-    def throw(self, origin: ArrayLike, direction: ArrayLike) -> None:
-        """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
-        way = np.asarray(direction, dtype=float)
-        velocity = _BALL_SPEED * (way / np.linalg.norm(way))
-        self._balls.throw(self.world.data, origin, velocity)
-
-    @property
-    def props(self) -> tuple[Prop, ...]:
-        """All props where they are now."""
-        return self.scene_props.props(HERE)
-
-    @property
-    def doing(self) -> str:
-        """What each character does, in words."""
-        return ", ".join(map(_doing, self.characters))
-
     @property
     def recording(self) -> int | None:
         """Number of frames recorded so far; None if nothing is being recorded."""
@@ -245,13 +173,6 @@ class Playground:
         moved = {"time": time, "root": root, "rotations": rotations}
         motion = Motion(body=body, source="kinefilter play", **moved)
         return Clip.of(motion, contacts=contacts, external_force=force, props=props)
-
-
-def _doing(character: PulledCharacter) -> str:
-    gives = character.compliance
-    if character.limp and not (gives and gives.fallen):
-        return "hangs limp"
-    return "follows" if gives is None else gives.doing
 
 
 def _beside(clips: Sequence[Clip]) -> list[Clip]:

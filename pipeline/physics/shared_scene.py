@@ -8,7 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from kinefilter.characters import Body, InputError, Prop, Tracking
+from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.pipeline.draft import Draft
@@ -17,12 +17,9 @@ from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 
 from .grasp import seen_hands
+from .playable import Playable
 from .pulled_character import PulledCharacter, check_target
-from .scene_props import SceneProps
-from .thrown_balls import ThrownBalls
-from .world import World
 
-HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
 _SHORTEST = 1e-3  # s: shorter steps wait for the next frame
 _MOVED = 1e-4  # m, or of a quaternion: props that moved less are still
 
@@ -81,12 +78,12 @@ class SharedPhysics(Stage):
 
         Raises an InputError if the person is not in the scene.
         """
-        if self not in self._scene.characters:
+        if self not in self._scene.people:
             raise InputError("nobody is in the scene yet; call step() first")
-        return self._scene.characters[self]
+        return self._scene.characters[self._scene.people.index(self)]
 
 
-class SharedScene:
+class SharedScene(Playable):
     """A scene, one of SCENES or an MJCF file, with everyone whose frames come in.
 
     ``advance`` pulls all people to their targets at once; those without a new frame
@@ -97,9 +94,7 @@ class SharedScene:
     def __init__(self, scene: str | Path, tracking: Tracking) -> None:
         self.scene, self._tracking = scene, tracking
         self._place: HeadingFrame | None = None
-        self.characters: dict[SharedPhysics, PulledCharacter] = {}
-        self.world: World | None = None  # from the first person on
-        self._things: SceneProps | None = None
+        self.people: list[SharedPhysics] = []  # who the characters belong to
         self._told = dict[str, Array]()
 
     def placed(self, draft: Draft) -> tuple[Array, Array]:
@@ -111,79 +106,74 @@ class SharedScene:
 
     def join(self, person: SharedPhysics) -> None:
         """Let a person in, unless they are there with this body already."""
-        there = self.characters.get(person)
-        if there is None or there.body is not person.body:
-            self._gather([p for p in self.characters if p is not person] + [person])
+        if person not in self.people or person.character.body is not person.body:
+            others = [other for other in self.people if other is not person]
+            self._go_on_with([*others, person])
 
     def leave(self, person: SharedPhysics) -> None:
         """Take a person out of the scene, if they are in it."""
-        if person in self.characters:
-            self._gather([p for p in self.characters if p is not person])
+        if person in self.people:
+            self._go_on_with([other for other in self.people if other is not person])
 
-    def _gather(self, people: list[SharedPhysics]) -> None:
+    def _go_on_with(self, people: list[SharedPhysics]) -> None:
         """Make a world with these people, in which everything goes on as before."""
-        before, others = self.world, self.characters
-        if not people:
-            self.characters = {}  # props wait for whoever comes next
+        known = dict(zip(self.people, self.characters, strict=True))
+        before = self.world if self.has_world else None
+        self.people = people
+        if not people:  # props wait for whoever comes next
+            self.characters = ()
             return
-        bodies, balls = [person.body for person in people], ThrownBalls()
-        extend = balls.add_to
-        world = World(bodies, self._tracking, scene=self.scene, extend=extend)
-        self.characters = {
-            p: PulledCharacter(p.body, self._tracking, world=world) for p in people
-        }
+        self._gather([person.body for person in people], self._tracking, self.scene)
         if before is not None:
-            world.take_props(before)
-        for person, character in self.characters.items():
-            known = others.get(person)
-            if known is not None and known.body is person.body:
-                character.take_over(known)
-        self.world, self._balls = world, balls
-        roots = [character.root_body for character in self.characters.values()]
-        self._things = SceneProps(world.data, roots, 1)
-        self._things.record(0)
+            self.world.take_props(before)
+        for person, character in zip(people, self.characters, strict=True):
+            last = known.get(person)
+            if last is not None and last.body is person.body:
+                character.take_over(last)
+        self.scene_props.record(0)
+
+    @property
+    def has_world(self) -> bool:
+        """Whether anybody has come so far, so that there is a world."""
+        return hasattr(self, "world")
 
     def advance(self) -> None:
         """Move everyone up to the newest frame, and complete the frames' drafts."""
-        people = list(self.characters)
-        new = [person for person in people if person.waiting is not None]
+        pairs = list(zip(self.people, self.characters, strict=True))
+        new = [person for person in self.people if person.waiting is not None]
         dt = max((p.ahead for p in new if not p.appears), default=0.0)
-        for person in new:
-            if person.appears:
-                self.characters[person].start(*person.target, reset_props=False)
+        for person, character in pairs:
+            if person.waiting is not None and person.appears:
+                character.start(*person.target, reset_props=False)
                 person.appears, person.ahead = False, dt
-        good = np.ones(len(people), dtype=bool)
-        if dt >= _SHORTEST and self.world is not None and self._things is not None:
+        good = np.ones(len(pairs), dtype=bool)
+        if dt >= _SHORTEST:
+            self._pull_dragged(dt)
             moves, feet = [], list[Flags | None]()
-            for person, character in self.characters.items():
+            for person, character in pairs:
                 moves.append(character.plan(*person.target, dt, seen=person.seen))
                 feet.append(person.stands)
                 # By other clocks their frames may come later, but not by much.
                 person.ahead = max(person.ahead - dt, -dt)
             good = self.world.follow(moves, feet)
-            self._things.record(0)
-        for person, fine in zip(people, good, strict=True):
+            self.scene_props.record(0)
+        for (person, character), fine in zip(pairs, good, strict=True):
             if (draft := person.waiting) is not None:
-                character, person.waiting = self.characters[person], None
+                person.waiting = None
                 draft.positions = character.positions
                 draft.rotations = character.rotations
                 draft.external_force = character.external_force
                 draft.reset = not fine
-
-    @property
-    def props(self) -> tuple[Prop, ...]:
-        """All props where they are now, in the frame of the scene."""
-        return () if self._things is None else self._things.props(HERE)
 
     def moved(self) -> dict[str, Array]:
         """Return where props are that moved since the last call.
 
         Positions [m] and rotations, wxyz, (7,), by name.
         """
-        if self._things is None:
+        if not self.has_world:
             return {}
-        poses = np.concatenate(self._things.now, axis=1)
-        named = zip(self._things.moving, poses, strict=True)
+        poses = np.concatenate(self.scene_props.now, axis=1)
+        named = zip(self.scene_props.moving, poses, strict=True)
         moved = {
             name: pose
             for name, pose in named
@@ -192,22 +182,19 @@ class SharedScene:
         self._told |= moved
         return moved
 
-    def throw(self, position: Array, velocity: Array) -> bool:
+    def send_ball(self, position: Array, velocity: Array) -> bool:
         """Throw a ball from a point [m] with a velocity [m/s]; False if nobody came."""
-        if self.world is None:
-            return False
-        self._balls.throw(self.world.data, position, velocity)
-        return True
+        if self.has_world:
+            self._balls.throw(self.world.data, position, velocity)
+        return self.has_world
 
     def place(self, prop: str, position: Array, rotation: Array) -> bool:
         """Put a prop at a position [m] and rotation, wxyz; False if none can be."""
-        if self._things is None:
-            return False
-        if (joint := self._things.free_joint(prop)) is None:
-            return False
-        joint.qpos[:3], joint.qpos[3:] = to_mujoco(position), to_mujoco(rotation)
-        joint.qvel[:] = 0.0
-        return True
+        joint = self.scene_props.free_joint(prop) if self.has_world else None
+        if joint is not None:
+            joint.qpos[:3], joint.qpos[3:] = to_mujoco(position), to_mujoco(rotation)
+            joint.qvel[:] = 0.0
+        return joint is not None
 
     def contacts(self, person: SharedPhysics) -> tuple[Contact, ...]:
         """Return where a person touches the floor, props and other people."""
@@ -235,8 +222,7 @@ class SharedScene:
 
     def _name(self, geom: int) -> str:
         """Return what a geom belongs to: a person, a prop or the floor."""
-        assert self._things is not None
-        for person, character in self.characters.items():
+        for person, character in zip(self.people, self.characters, strict=True):
             if character.is_part[geom]:
                 return person.person
-        return self._things.name_of(geom)
+        return self.scene_props.name_of(geom)

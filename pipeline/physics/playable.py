@@ -1,0 +1,115 @@
+"""A world whose characters one can push and drag, and throw balls at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinefilter.characters import Body, Prop, Tracking
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.humanoid import to_mujoco
+from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget.bent_limb import at_most
+
+from .pulled_character import PulledCharacter
+from .scene_props import SceneProps
+from .thrown_balls import ThrownBalls
+from .world import World
+
+_BALL_SPEED = 10.0  # m/s
+_PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
+_STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
+_HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
+
+
+class Playable:
+    """Characters and things in one world, in the scene's frame, y up."""
+
+    world: World
+    characters: Sequence[PulledCharacter] = ()
+    scene_props: SceneProps
+    _dragged: tuple[int, int, Array, Array] | None = None
+
+    def _gather(
+        self, bodies: Sequence[Body], tracking: Tracking, scene: str | Path
+    ) -> None:
+        """Make the world of these bodies in a scene; raises InputError as ``World``."""
+        self._balls = ThrownBalls()
+        extend = self._balls.add_to
+        self.world = World(bodies, tracking, scene=scene, extend=extend)
+        self.characters = tuple(
+            PulledCharacter(body, tracking, world=self.world) for body in bodies
+        )
+        roots = [character.root_body for character in self.characters]
+        self.scene_props = SceneProps(self.world.data, roots, 1)
+        self._dragged = None
+
+    @property
+    def props(self) -> tuple[Prop, ...]:
+        """All props where they are now."""
+        return self.scene_props.props(_HERE)
+
+    @property
+    def doing(self) -> str:
+        """What each character does, in words."""
+        return ", ".join(map(_doing, self.characters))
+
+    def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
+        """Return what a ray hits first if it is a character: its number and a joint."""
+        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
+        model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
+        hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
+        body = model.geom_bodyid[geom[0]]
+        for number, character in enumerate(self.characters):
+            if hit >= 0.0 and character.joint_of[body] >= 0:
+                return number, int(character.joint_of[body])
+        return None
+
+    def shove(self, joint: int, direction: ArrayLike, number: int = 0) -> None:
+        """Push the part that ends at a character's joint as hard as a person shoves."""
+        way = np.asarray(direction, dtype=float)
+        self._push(number, joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
+
+    def drag(
+        self, joint: int, grabbed: ArrayLike, pointer: ArrayLike, number: int = 0
+    ) -> None:
+        """Pull the part that ends at a joint to a pointer [m], (3,), until ``release``.
+
+        Only the first call of a drag uses the place where it is ``grabbed`` [m], (3,).
+        """
+        offset = np.asarray(grabbed) - self.characters[number].positions[joint]
+        if self._dragged is not None and self._dragged[:2] == (number, joint):
+            offset = self._dragged[2]
+        self._dragged = number, joint, offset, np.asarray(pointer, dtype=float)
+
+    def release(self) -> None:
+        """End a drag."""
+        self._dragged = None
+
+    def throw(self, origin: ArrayLike, direction: ArrayLike) -> None:
+        """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
+        way = np.asarray(direction, dtype=float)
+        velocity = _BALL_SPEED * (way / np.linalg.norm(way))
+        self._balls.throw(self.world.data, origin, velocity)
+
+    def _pull_dragged(self, dt: float) -> None:
+        """Pull what is dragged for the next dt [s]."""
+        if self._dragged is not None:
+            number, joint, grabbed, pointer = self._dragged
+            away = pointer - self.characters[number].positions[joint] - grabbed
+            self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
+
+    def _push(self, number: int, joint: int, force: Array, seconds: float) -> None:
+        character = self.characters[number]
+        character.push(character.body.skeleton.joints[joint], force, seconds)
+
+
+def _doing(character: PulledCharacter) -> str:
+    gives = character.compliance
+    if character.limp and not (gives and gives.fallen):
+        return "hangs limp"
+    return "follows" if gives is None else gives.doing
