@@ -4,7 +4,7 @@ A performer mimes: what they hold has another size and place than the prop of th
 Where both hands slow down on either side of a prop, the character's hands go to its own
 faces. There each palm is tied to the prop until the performer's hands part or hang, the
 prop rests where they put it down, or it pulls harder than hands can. A ball may go to
-one hand that pushes it to the floor, and back.
+one hand that pushes it to the floor, and back. Thin things are for one hand alone.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from .carry import Carry, PerformerHands
 from .compliance import damped
 from .dribble import Dribble
 from .holdable import HANDS, HORIZONTAL, STRENGTH, UP, Holdable
+from .one_hand import OneHand
 
 # All of these are guesses, tried on scripted performances with a box.
 _SEEN = 0.3  # reliability of a hand that is seen well enough to let go
@@ -48,7 +49,8 @@ def seen_hands(reliability: Array, skeleton: Skeleton) -> Flags:
 class Grasp:
     """The hands of a character in a scene with props that have ties (``add_ties``).
 
-    They hold one prop at most. Names of the character's parts begin with ``prefix``.
+    Both hold one prop, or each one of its own. Names of the character's parts begin
+    with ``prefix``.
     """
 
     def __init__(self, data: mujoco.MjData, body: Body, prefix: str = "") -> None:
@@ -64,6 +66,9 @@ class Grasp:
         palm = float(body.radii[self._palms[0]])
         props = Holdable.all(data, palm, (left, right))
         self.props = [prop for prop in props if prop.weight < 2.0 * STRENGTH]
+        self._wide = [prop for prop in self.props if prop.for_two]
+        thin = [prop for prop in self.props if prop.for_one]
+        self._each = [OneHand(number, thin) for number in (0, 1)] if thin else []
         self._carry: Carry | Dribble | None = None
         self._sought: Holdable | None = None
         self.start()
@@ -75,6 +80,8 @@ class Grasp:
         self._waited = self._leaving = 0.0
         self._away, self._rate, self._beside = np.zeros((3, 2, 3))
         self._before: Array | None = None
+        for hand in self._each:
+            hand.start()
         for prop in self.props:
             prop.untie()
 
@@ -82,21 +89,31 @@ class Grasp:
         """Hold what one of the same body holds in another world."""
         for name in ("_away", "_rate", "_beside", "_before", "_leaving"):
             setattr(self, name, getattr(other, name))
+        mine = {prop.name: prop for prop in self.props}
+        for prop in other.props:
+            mine[prop.name].take_over(prop)
         if (carry := other._carry) is not None:
-            carry.prop = {prop.name: prop for prop in self.props}[carry.prop.name]
-            if isinstance(carry, Carry):
-                carry.prop.tie(self._now)
+            carry.prop = mine[carry.prop.name]
             self._carry = carry
+        for hand, before in zip(self._each, other._each, strict=True):
+            hand.take_over(before, mine)
 
     @property
     def held(self) -> Holdable | None:
-        """What the hands hold."""
-        return self._carry.prop if self._carry else None
+        """What both hands hold, or else one of them."""
+        if self._carry is not None:
+            return self._carry.prop
+        return next((hand.held for hand in self._each if hand.held), None)
 
     @property
-    def weight(self) -> float:
-        """Weight of what both hands hold [N]."""
-        return self._carry.prop.weight if isinstance(self._carry, Carry) else 0.0
+    def loads(self) -> Array:
+        """Weight of what each hand holds [N], shape (2,)."""
+        if isinstance(self._carry, Carry):
+            return np.full(2, 0.5 * self._carry.prop.weight)
+        loads = np.zeros(2)
+        for number, hand in enumerate(self._each):
+            loads[number] = hand.load
+        return loads
 
     def press(self) -> Array | None:
         """Push a dribbled ball in the next step of the engine, as ``Dribble.press``."""
@@ -106,6 +123,8 @@ class Grasp:
         """Let go of what is held, if anything."""
         if self._carry is not None:
             self._release(self._carry.prop)
+        for hand in self._each:
+            hand.drop()
 
     def target(
         self, positions: Array, rotations: Array, dt: float, seen: Flags | None = None
@@ -139,6 +158,11 @@ class Grasp:
             else:
                 self.drop()
                 self._beside, self._leaving = self._now, _LEAVING_TIME
+        for number, hand in enumerate(self._each):
+            if self._carry is None and self._waited == 0.0:
+                wanted[number] += hand.step(performer, self._now[number])
+            else:
+                hand.drop()
         off, self._rate = damped(self._away - wanted, self._rate, _REACHING, dt)
         self._away = wanted + off
         if np.abs(self._away).max() < 1e-4:
@@ -202,7 +226,7 @@ class Grasp:
     def _nearest(self, palms: Array) -> Holdable | None:
         """Return the prop nearest to the palms, if they are near it."""
         best, found = _FAR, None
-        for prop in self.props:
+        for prop in self._wide:
             places, far = prop.places(palms), np.inf
             if places is not None:
                 far = float(np.linalg.norm(places - palms, axis=-1).max())

@@ -1,4 +1,4 @@
-"""Props that two hands can hold, in MuJoCo's world; points are given y up."""
+"""Props that hands can hold, in MuJoCo's world; points are given y up."""
 
 from __future__ import annotations
 
@@ -19,12 +19,19 @@ UP = np.array([0.0, 1.0, 0.0])
 _MESH = mujoco.mjtGeom.mjGEOM_MESH
 _SITE = mujoco.mjtObj.mjOBJ_SITE
 _ENGINE_UP = to_mujoco(UP)
+_MOVES = (
+    mujoco.mjtJoint.mjJNT_FREE,
+    mujoco.mjtJoint.mjJNT_HINGE,
+    mujoco.mjtJoint.mjJNT_SLIDE,
+)
 
 # Guesses.
 _WIDTHS = (0.12, 0.7)  # m: thinner props need one hand, wider ones longer arms
+_THIN = 0.1  # m: what one hand can hold is thinner somewhere
 _ABOVE = 0.6  # of half its height: hands hold it no higher above its center, nor below
 _TOUCH = 0.04  # m across from a face: a hand that touches
 _FACE = 0.6  # of half the face: how far from its place a hand still holds it
+_FAR = 0.3  # m: hands farther away from a thing do not go to it
 _SLACK = 0.01  # m below a prop: nearer things support it
 _ALONG = 0.7  # cosine of the angle between a prop's axis and the line of the hands
 _LEVELING = 15.0  # rad/s: natural frequency at which held props turn level
@@ -37,8 +44,8 @@ def add_ties(spec: mujoco.MjSpec, characters: int = 1) -> None:
 
     Props without names get that of ``SceneProps``, as ties need one.
     """
-    free, bodies = mujoco.mjtJoint.mjJNT_FREE, enumerate(spec.bodies)
-    props = [(k, b) for k, b in bodies if any(joint.type == free for joint in b.joints)]
+    bodies = enumerate(spec.bodies)  # the characters' joints are roots and balls
+    props = [(k, b) for k, b in bodies if any(j.type in _MOVES for j in b.joints)]
     hands = [f"{prefix_of(n)}{hand}" for n in range(characters) for hand in HANDS]
     for k, prop in props[characters:]:  # the first are the characters' roots
         prop.name = prop.name or f"body{k}"
@@ -98,20 +105,35 @@ class Holdable:
         points = (np.concatenate(points) - data.xpos[body]) @ frame.reshape(3, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         self._middle, self._half = self._turn @ (0.5 * (low + high)), 0.5 * (high - low)
+        self._geoms = geoms.tolist()
+        # Of the boxes around its parts, each along its own axes.
+        self._thinnest = 2.0 * float(model.geom_aabb[geoms, 3:].min())
+        self._size = float(np.linalg.norm(np.abs([low, high]).max(axis=0)))
+        self._lay = np.zeros(3)  # up, in its own frame, when it was tied
+        self.is_free = bool(model.jnt_type[model.body_jntadr[body]] == _MOVES[0])
         first = int(model.body_dofadr[body])
         self._speed = slice(first, first + 3)
         self.weight = float(model.body_subtreemass[body]) * GRAVITY
 
     @staticmethod
     def all(data: mujoco.MjData, palm: float, hands: tuple[str, str]) -> list[Holdable]:
-        """Return all props with ties that are not too small for two hands."""
+        """Return all props with ties."""
         model = data.model
         mujoco.mj_kinematics(model, data)
         solid = set(_props_of(model)[model.geom_contype != 0])
         tied = {f"hold:{model.body(k).name}:{hands[0]}": int(k) for k in solid}
         names = [model.equality(k).name for k in range(model.neq)]
-        props = [Holdable(data, tied[n], palm, hands) for n in names if n in tied]
-        return [prop for prop in props if 2.0 * prop._half.max() > _WIDTHS[0]]
+        return [Holdable(data, tied[n], palm, hands) for n in names if n in tied]
+
+    @property
+    def for_two(self) -> bool:
+        """Whether it takes two hands, as it is free to move and not too small."""
+        return self.is_free and bool(2.0 * self._half.max() > _WIDTHS[0])
+
+    @property
+    def for_one(self) -> bool:
+        """Whether a single hand can hold it."""
+        return not self.for_two and self._thinnest < _THIN
 
     @property
     def _matrix(self) -> Array:
@@ -158,14 +180,43 @@ class Holdable:
 
     def tie(self, hands: Array) -> None:
         """Tie the hands to the faces where they are, at (2, 3) [m]."""
-        data = self._data
-        points = to_mujoco(hands + self._palm * unit(hands[::-1] - hands))
-        for hand, tie, point in zip(self._hands, self._ties, points, strict=True):
-            for body, part in ((hand, 0), (self._body, 3)):
-                local = data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body])
-                self._model.eq_data[tie, part : part + 3] = local
-            data.eq_active[tie] = 1
+        points = hands + self._palm * unit(hands[::-1] - hands)
+        for number, point in enumerate(points):
+            self.tie_one(number, point)
+
+    def tie_one(self, number: int, point: Array) -> None:
+        """Tie one hand, 0 left or 1 right, to a point of the prop [m], (3,)."""
+        data, place, tie = self._data, to_mujoco(point), self._ties[number]
+        for body, part in ((self._hands[number], 0), (self._body, 3)):
+            local = data.xmat[body].reshape(3, 3).T @ (place - data.xpos[body])
+            self._model.eq_data[tie, part : part + 3] = local
+        data.eq_active[tie] = 1
         self._lay = self._matrix[2].copy()
+
+    def take_over(self, other: Holdable) -> None:
+        """Tie the hands as those of the same character in another world are tied."""
+        self._model.eq_data[self._ties] = other._model.eq_data[other._ties]
+        self._data.eq_active[self._ties] = other._data.eq_active[other._ties]
+        self._lay = other._lay
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether it is tied to a hand of this character."""
+        return bool(self._data.eq_active[self._ties].any())
+
+    def way_from(self, number: int) -> Array | None:
+        """Return the way from the surface of a hand to its own [m]; None if far."""
+        data, model, best, found = self._data, self._model, _FAR, None
+        hand = self._hands[number]
+        if np.linalg.norm(data.xpos[hand] - data.xpos[self._body]) > _FAR + self._size:
+            return None
+        ends = np.zeros(6)
+        for one in np.flatnonzero(model.geom_bodyid == hand):
+            for other in self._geoms:
+                far = mujoco.mj_geomDistance(model, data, one, other, best, ends)
+                if far < best:
+                    best, found = far, np.where(far > 0.0, ends[3:] - ends[:3], 0.0)
+        return None if found is None else from_mujoco(found)
 
     @property
     def reach(self) -> float:
@@ -238,9 +289,23 @@ class Holdable:
         return bool(0.0 <= far < 3.0 * _SLACK)
 
     def turn_level(self) -> None:
-        """Turn it as level as it was when tied, with the torque of both wrists."""
+        """Turn it as level as it was when tied, with the torque of both wrists.
+
+        A single hand bears it beside its center of mass. What has a hinge or a rail
+        turns as that lets it.
+        """
+        if not self.is_free:
+            return
         data, body = self._data, self._body
         up, spin = self._matrix @ self._lay, data.cvel[body, :3]
         turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
-        torque = float(self._model.body_inertia[body].max()) * turning
+        inertia = float(self._model.body_inertia[body].max())
+        torque, tied = inertia * turning, data.eq_active[self._ties]
+        if not tied.all():
+            (tie,) = np.array(self._ties)[tied != 0]
+            point = data.xpos[body] + self._matrix @ self._model.eq_data[tie, 3:6]
+            lever = data.xipos[body] - point
+            across = turning * (lever @ lever) - lever * (lever @ turning)
+            torque = torque + self.weight / GRAVITY * across
+            torque += np.cross(lever, self.weight * _ENGINE_UP)
         data.xfrc_applied[body, 3:] = at_most(_WRISTS, torque)

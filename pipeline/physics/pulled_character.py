@@ -243,9 +243,9 @@ class PulledCharacter:
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n = move.after[0].size
         self._forward, data.ctrl[self._pulls][n:] = move.forward[:n], move.forward[n:]
-        if (held := self.grasp.weight) > 0.0:
+        if (loads := self.grasp.loads).any():
             self._forward = self._forward.copy()
-            self._forward.reshape(-1, 3)[self._palms, 2] += 0.5 * held
+            self._forward.reshape(-1, 3)[self._palms, 2] += loads
 
     def begin_again(self) -> None:
         """Forget what it felt since ``begin``, because the step is taken again."""
