@@ -66,8 +66,8 @@ class Reach:
         self._arms, self._legs = np.transpose(arms), np.transpose(legs)
         self._beyond = [[j, *skeleton.descendants(j)] for j in self._arms[:, 2]]
         below = [j for hip in skeleton.hips for j in skeleton.descendants(int(hip))]
-        self._upper = np.setdiff1d(np.arange(len(skeleton)), below)
-        self._trunk = np.setdiff1d(self._upper, [skeleton.root, *skeleton.hips])
+        self.upper = np.setdiff1d(np.arange(len(skeleton)), below)
+        self._trunk = np.setdiff1d(self.upper, [skeleton.root, *skeleton.hips])
 
     def __call__(
         self, positions: Array, rotations: Array, moves: Array
@@ -77,22 +77,38 @@ class Reach:
         ``moves`` are those of the left and the right hand [m], shape (2, 3). Where the
         arms are too short, the trunk bends, and then the knees; the feet stay.
         """
-        moved, turned = positions.copy(), rotations.copy()
+        moved = positions.copy()
         wrists = positions[self._arms[:, 2]] + moves
         self._bow(moved, self._lean(positions, wrists))
-        # The hips sink so that the feet can stay.
-        bones = np.linalg.norm(np.diff(positions[self._legs], axis=1), axis=-1)
-        legs = moved[self._legs[:, 0]] - positions[self._legs[:, 2]]
-        moved[self._upper, 1] -= shortage(legs, bones.sum(axis=-1)).max()
-        for leg in self._legs:
-            _bend(moved, positions, leg, positions[leg[2]])
+        self._sink(moved, positions)
         for arm, hand, wrist in zip(self._arms, self._beyond, wrists, strict=True):
             _bend(moved, positions, arm, wrist)
             moved[hand] = positions[hand] + moved[arm[2]] - positions[arm[2]]
+        return moved, self._turned(moved, positions, rotations)
+
+    def _sink(self, moved: Array, positions: Array) -> None:
+        """Bend the legs, and lower the hips where the feet could not stay."""
+        bones = np.linalg.norm(np.diff(positions[self._legs], axis=1), axis=-1)
+        legs = moved[self._legs[:, 0]] - positions[self._legs[:, 2]]
+        moved[self.upper, 1] -= shortage(legs, bones.sum(axis=-1)).max()
+        for leg in self._legs:
+            _bend(moved, positions, leg, positions[leg[2]])
+
+    def _turned(self, moved: Array, positions: Array, rotations: Array) -> Array:
+        turned = rotations.copy()
         ends, starts = self._skeleton.segments, self._skeleton.segment_parents
         before, after = (p[ends] - p[starts] for p in (positions, moved))
         turned[ends] = multiply(between(before, after), rotations[ends])
-        return moved, turned
+        return turned
+
+    def shifted(
+        self, positions: Array, rotations: Array, shift: Array
+    ) -> tuple[Array, Array]:
+        """Return the same with the body shifted [m], (3,), but for the feet."""
+        moved = positions.copy()
+        moved[self.upper] += shift
+        self._sink(moved, positions)
+        return moved, self._turned(moved, positions, rotations)
 
     def _bow(self, moved: Array, lean: Array) -> None:
         """Move the shoulders: the trunk turns about the hips, which do the rest."""
@@ -100,7 +116,7 @@ class Reach:
         spine = moved[self._arms[:, 0]].mean(axis=0) - root
         turn = between(spine, spine + lean)
         moved[self._trunk] = root + rotate(turn, moved[self._trunk] - root)
-        moved[self._upper] += at_most(_DEEPEST, spine + lean - rotate(turn, spine))
+        moved[self.upper] += at_most(_DEEPEST, spine + lean - rotate(turn, spine))
 
     def _lean(self, positions: Array, wrists: Array) -> Array:
         """Return the move of the shoulders [m] that lets the arms reach, (3,)."""

@@ -90,7 +90,7 @@ class Holdable:
     ) -> None:
         model = data.model
         self._data, self._model = data, model
-        self._body, self._palm = body, palm
+        self.body, self._palm = body, palm
         self.name = model.body(body).name
         self._ties = [model.equality(f"hold:{self.name}:{hand}").id for hand in hands]
         self._hands = [model.body(hand).id for hand in hands]
@@ -137,12 +137,12 @@ class Holdable:
 
     @property
     def _matrix(self) -> Array:
-        return np.asarray(self._data.xmat[self._body].reshape(3, 3))
+        return np.asarray(self._data.xmat[self.body].reshape(3, 3))
 
     @property
     def center(self) -> Array:
         """Center of the box around it [m], shape (3,)."""
-        return from_mujoco(self._data.xpos[self._body] + self._matrix @ self._middle)
+        return from_mujoco(self._data.xpos[self.body] + self._matrix @ self._middle)
 
     @property
     def _axes(self) -> Array:
@@ -187,7 +187,7 @@ class Holdable:
     def tie_one(self, number: int, point: Array) -> None:
         """Tie one hand, 0 left or 1 right, to a point of the prop [m], (3,)."""
         data, place, tie = self._data, to_mujoco(point), self._ties[number]
-        for body, part in ((self._hands[number], 0), (self._body, 3)):
+        for body, part in ((self._hands[number], 0), (self.body, 3)):
             local = data.xmat[body].reshape(3, 3).T @ (place - data.xpos[body])
             self._model.eq_data[tie, part : part + 3] = local
         data.eq_active[tie] = 1
@@ -208,7 +208,7 @@ class Holdable:
         """Return the way from the surface of a hand to its own [m]; None if far."""
         data, model, best, found = self._data, self._model, _FAR, None
         hand = self._hands[number]
-        if np.linalg.norm(data.xpos[hand] - data.xpos[self._body]) > _FAR + self._size:
+        if np.linalg.norm(data.xpos[hand] - data.xpos[self.body]) > _FAR + self._size:
             return None
         ends = np.zeros(6)
         for one in np.flatnonzero(model.geom_bodyid == hand):
@@ -238,7 +238,7 @@ class Holdable:
         sites = [self._palms[hand] for hand in hands]
         for site, move in zip(sites, moves, strict=True):
             mujoco.mj_objectVelocity(self._model, data, _SITE, site, move, 0)
-        off = data.site_xpos[sites].mean(axis=0) - data.xpos[self._body]
+        off = data.site_xpos[sites].mean(axis=0) - data.xpos[self.body]
         if len(hands) == 1:
             off -= self.reach * _ENGINE_UP
         slower = moves[:, 3:].mean(axis=0) - data.qvel[self._speed]
@@ -248,17 +248,17 @@ class Holdable:
         """Accelerate it beyond gravity [m/s^2], (3,); return the force as above."""
         mass = self.weight / GRAVITY
         force = at_most(STRENGTH, mass * acceleration + self.weight * _ENGINE_UP)
-        self._data.xfrc_applied[self._body, :3] = force
+        self._data.xfrc_applied[self.body, :3] = force
         return force
 
     def untie(self) -> None:
         """Let the hands go."""
         self._data.eq_active[self._ties] = 0
-        self._data.xfrc_applied[self._body] = 0.0
+        self._data.xfrc_applied[self.body] = 0.0
 
     def put_back(self) -> None:
         """Put it where the scene has it, at rest."""
-        joint = self._data.joint(int(self._model.body_jntadr[self._body]))
+        joint = self._data.joint(int(self._model.body_jntadr[self.body]))
         joint.qpos[:] = self._model.joint(joint.id).qpos0
         joint.qvel[:] = 0.0
 
@@ -274,8 +274,8 @@ class Holdable:
         """Whether it touches anything but the character."""
         model = self._model
         pairs = _props_of(model)[self._data.contact.geom]
-        touched = pairs[(pairs == self._body).any(axis=1)].ravel()
-        roots = model.body_rootid[touched[touched != self._body]]
+        touched = pairs[(pairs == self.body).any(axis=1)].ravel()
+        roots = model.body_rootid[touched[touched != self.body]]
         return bool((roots != model.body_rootid[self._hands[0]]).any())
 
     @property
@@ -285,7 +285,7 @@ class Holdable:
         # From beneath it, as rays also hit what they start in.
         start = to_mujoco(self.center - (height - 2.0 * _SLACK) * UP)
         engine, found = (self._model, self._data), np.zeros(1, dtype=np.int32)
-        far = mujoco.mj_ray(*engine, start, down, None, 1, self._body, found)
+        far = mujoco.mj_ray(*engine, start, down, None, 1, self.body, found)
         return bool(0.0 <= far < 3.0 * _SLACK)
 
     def turn_level(self) -> None:
@@ -296,7 +296,7 @@ class Holdable:
         """
         if not self.is_free:
             return
-        data, body = self._data, self._body
+        data, body = self._data, self.body
         up, spin = self._matrix @ self._lay, data.cvel[body, :3]
         turning = _LEVELING**2 * np.cross(up, [0.0, 0.0, 1.0]) - 2.0 * _LEVELING * spin
         inertia = float(self._model.body_inertia[body].max())

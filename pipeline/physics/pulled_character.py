@@ -32,6 +32,7 @@ from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .grasp import Grasp
 from .momentum import Momentum
 from .moves import Move, MovePlanner
+from .seat import Seat
 from .standing_feet import StandingFeet
 from .stuck_limbs import StuckLimbs
 from .world import World
@@ -109,6 +110,8 @@ class PulledCharacter:
         self.is_part = own  # which geoms of the model are the character's
         self._is_other = ~own
         self._is_other[model.geom("floor").id] = False
+        firm = self._stiffness[: 3 * len(joints) : 3]
+        self.seat = Seat(self.data, body, self.joint_of, firm)
         self.grasp = Grasp(self.data, body, prefix)
         self._weight = float(body.mass * GRAVITY)
         masses = joint_masses(body)
@@ -136,7 +139,7 @@ class PulledCharacter:
         self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity, self._external = np.zeros_like(self._target[0]), np.zeros(3)
-        for part in (self.feet, self.momentum, self._limbs):
+        for part in (self.feet, self.momentum, self._limbs, self.seat):
             part.start()
         self.grasp.start(props_stay=not reset_props)
         self._pushes: list[tuple[int, Array, float]] = []
@@ -212,7 +215,12 @@ class PulledCharacter:
             positions, rotations = self._give_way(gives, positions, rotations, dt)
         if self._yields:
             self.grasp.start()
+            self.seat.start()
         else:
+            if self.seat.exists:
+                pulled, held = from_mujoco(self._external), self.grasp.held
+                target = positions, rotations, dt, pulled, held
+                positions, rotations = self.seat.target(*target)
             positions, rotations = self.grasp.target(positions, rotations, dt, seen)
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt

@@ -1,0 +1,36 @@
+"""Chairs bear whoever sits on them, wherever the performer's own seat is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinefilter import CleanConfig, clean
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
+from kinefilter.pipeline.physics.seat import Seat
+
+
+@pytest.mark.parametrize("seed", [3, 5001])
+def test_a_chair_bears_the_weight_and_the_pulls_add_little(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    take = truth_of(simulate("chair", "chair", seed=seed))
+    forces, hips = [], []
+    for bears in (True, False):
+        if not bears:
+            monkeypatch.setattr(Seat, "_is_borne", lambda *_: False)
+        clip = clean(take, CleanConfig(scene="chair")).clip
+        height = clip.positions[:, clip.skeleton.root, 1]
+        sits = height < 0.75 * height.max()
+        assert sits.sum() > 60
+        forces.append(np.median(clip.external_force[sits]))
+        hips.append(height[sits].min())
+    assert forces[0] < 0.4
+    assert forces[1] > 2.0 * forces[0]
+    assert abs(hips[0] - hips[1]) < 0.05  # on the same chair
+
+
+def test_without_a_seat_nothing_moves() -> None:
+    take = truth_of(simulate("basic", "wave", seed=3)).at(slice(60))
+    here = clean(take, CleanConfig("none", scene="flip_chart")).clip
+    assert here.moved_by_physics.mean() < 0.02
