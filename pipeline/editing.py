@@ -6,8 +6,6 @@ the body and the floor, is taken from the clip without edits. A pinned joint tak
 neighbors in time and in the body along.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import Any

@@ -1,7 +1,5 @@
 """Merges and cleans simultaneous takes of one person, and calibration files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from copy import deepcopy

@@ -4,8 +4,6 @@ Directions are unit vectors in the heading frame, arrays of shape (T, C) with th
 components of one or more segments along C.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -6,8 +6,6 @@ Limbs that were never seen, such as legs behind a desk, have no motion to contin
 networks predict their directions from the posture of the rest of the body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 

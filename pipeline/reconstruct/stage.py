@@ -1,7 +1,5 @@
 """The stage that fills hidden limbs, of whole takes and frame by frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
