@@ -33,18 +33,18 @@ from kinefilter.scenes.sensor.depth_tracker import (
     DepthImage,
     depth_differences,
     joint_constants,
+    nearest_joints,
     parts_of_joints,
     propose,
     push_behind_skin,
     with_noise,
 )
-from kinefilter.scenes.sensor.visibility import PosedBody, own_parts
+from kinefilter.scenes.sensor.visibility import PosedBody
 
 _HELD_OUT = ("02", "08", "12", "29")  # CMU's subjects who are not in training data
 _PEOPLE, _CHECKING, _TESTING = 5_000_000, 5_100_000, 5_200_000
 """First seeds of the people for the trees, for the joints' constants, and for tests."""
 _CHECKED = 24  # people for the constants, and as many to test on
-_REACH = 0.04  # of stature: extent of a joint's skin along a limb, a guess
 _FARTHEST, _NEAREST = 0.7, 0.015  # m: range of feature offsets
 _RIGHT = 0.1  # m: a joint this close to the truth counts as found (Shotton et al.)
 _FULL = 255.0
@@ -84,25 +84,6 @@ class Shot(NamedTuple):
         joints = nearest_joints(points, segments, self.joints, self.body)
         parts = np.argmax(parts_of_joints(self.body.skeleton), axis=0)
         return np.where(joints < 0, len(BODY_PARTS) - 1, parts[joints])
-
-
-def nearest_joints(
-    points: Array, segments: Indices, positions: Array, body: Body
-) -> Indices:
-    """Return the joint whose skin each point belongs to, -1 for none, (N,).
-
-    This is the nearest of the joints seen on the point's segment: its two ends or, on
-    the trunk, all joints of the trunk. The middle of a limb's segment belongs to none,
-    as a joint's skin extends equally far in both directions. Points on the skin (N, 3),
-    of ``segments`` (N,), and joint positions (J, 3) are in the same frame [m].
-    """
-    own = own_parts(body.skeleton)
-    distance = np.linalg.norm(points[:, None] - positions, axis=-1)
-    distance[~own[:, segments].T] = np.inf
-    reach = np.hypot(body.radii, _REACH * body.height)
-    reach[own.sum(axis=0) > 2] = np.inf  # the trunk
-    far = distance.min(axis=1, initial=np.inf) > reach[segments]
-    return np.where(far, -1, np.argmin(distance, axis=1))
 
 
 def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Array:

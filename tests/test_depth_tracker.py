@@ -11,7 +11,6 @@ import pytest
 import teach_depth
 from numpy.typing import NDArray
 from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
-from teach_depth import nearest_joints
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Motion, State
 from kinefilter.characters.humanoid import to_mujoco
@@ -30,6 +29,7 @@ from kinefilter.scenes.sensor.depth_tracker import (
     DepthImage,
     depth_differences,
     hold_inferred,
+    nearest_joints,
     parts_of_joints,
     propose,
     shipped_forest,

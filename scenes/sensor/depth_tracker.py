@@ -20,16 +20,17 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from kinefilter.characters import KINECT_V2, SKELETONS, Motion, Skeleton, State
+from kinefilter.characters import KINECT_V2, SKELETONS, Body, Motion, Skeleton, State
 from kinefilter.characters.arrays import Array, Codes, Flags, Indices, Singles
 
 from .geometry import Sensor, in_sensor_frame, in_world_frame, sensor_axes
 from .tracker_errors import V1_NAMES
-from .visibility import PosedBody
+from .visibility import PosedBody, own_parts
 
 BACKGROUND = 10.0  # m: pixels without a person (Shotton 2011: a large constant)
 _EVERY = 2  # step between rendered pixels, along rows and columns
 _AROUND = 0.3  # m: no skin is farther from every joint
+_REACH = 0.04  # of stature: extent of a joint's skin along a limb, a guess
 _EDGE = 0.1  # m of depth between neighboring pixels on either side of an edge
 _LOST = 0.5  # share of pixels at edges that have no depth, a guess
 _TIME_STEP, _DISPARITY_STEP = 0.001, 0.0027  # m, 1/m: steps of depth
@@ -123,6 +124,25 @@ def with_noise(image: DepthImage, sensor: Sensor, rng: Generator) -> DepthImage:
     noisy = depth + sensor.depth_noise.at(depth) * rng.normal(size=depth.shape)
     noisy = np.where(kept, np.round(noisy / step) * step, BACKGROUND)
     return DepthImage(noisy, np.where(kept, image.segments, -1), image.focal)
+
+
+def nearest_joints(
+    points: Array, segments: Indices, positions: Array, body: Body
+) -> Indices:
+    """Return the joint whose skin each point belongs to, -1 for none, (N,).
+
+    This is the nearest of the joints seen on the point's segment: its two ends or, on
+    the trunk, all joints of the trunk. The middle of a limb's segment belongs to none,
+    as a joint's skin extends equally far in both directions. Points on the skin (N, 3),
+    of ``segments`` (N,), and joint positions (J, 3) are in the same frame [m].
+    """
+    own = own_parts(body.skeleton)
+    distance = np.linalg.norm(points[:, None] - positions, axis=-1)
+    distance[~own[:, segments].T] = np.inf
+    reach = np.hypot(body.radii, _REACH * body.height)
+    reach[own.sum(axis=0) > 2] = np.inf  # the trunk
+    far = distance.min(axis=1, initial=np.inf) > reach[segments]
+    return np.where(far, -1, np.argmin(distance, axis=1))
 
 
 BODY_PARTS = (*KINECT_V2.joints, "between")
