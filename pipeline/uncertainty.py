@@ -3,7 +3,7 @@
 It depends on the joint's speed and reliability and on the coverage of its posture; for
 a hidden joint, on the time to the nearest frame that shows it, and on its speed before
 and after. The weights were trained on recordings of people with marker mocap beside
-them, none of whom the corrector was trained on (``tests/teach_uncertainty.py``).
+them, none of whom the corrector was trained on (``pipeline.lab.uncertainty_lessons``).
 """
 
 import tomllib

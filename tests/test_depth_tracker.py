@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import teach_depth
 from numpy.typing import NDArray
 from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 
@@ -17,6 +16,7 @@ from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import IDENTITY
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import read_take
+from kinefilter.pipeline.lab import teach_depth
 from kinefilter.pipeline.lab.studies import Options, reproduce
 from kinefilter.pipeline.lab.studies.tracker_studies import error_figures
 from kinefilter.scenes.library import perform

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from real_data import PAIRS, paired
 from scored_takes import average
 from sklearn.metrics import roc_auc_score
-from teach_reliability import learned_weights
 
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import (
@@ -34,6 +33,7 @@ from kinefilter.pipeline.lab.scorers import (
     TERMS,
     ClueWeights,
     LearnedReliabilityScorer,
+    learned_weights,
 )
 from kinefilter.pipeline.lab.simulation import pairs_with_props, simulate
 from kinefilter.pipeline.pairs import PairedTake, read_pairs

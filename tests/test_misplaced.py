@@ -7,13 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import teach_misplaced as module
 from real_data import DATA
 from sklearn.metrics import roc_auc_score
-from teach_misplaced import fit, learn_misplaced, lessons
 
 from kinefilter.characters import KINECT_V2, Take, standard_body
-from kinefilter.pipeline.lab.two_views import FEATURES, describe_limbs, misplaced
+from kinefilter.pipeline.lab import misplaced as module
+from kinefilter.pipeline.lab.misplaced import (
+    FEATURES,
+    describe_limbs,
+    fit,
+    learn_misplaced,
+    lessons,
+    misplaced,
+)
 from kinefilter.pipeline.lab.view_sessions import find_sessions
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import Sensor, in_sensor_frame

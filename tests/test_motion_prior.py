@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from teach_hidden_limbs import relative_errors
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.characters.rotations import unit
@@ -19,6 +18,7 @@ from kinefilter.pipeline.lab.limb_lessons import (
     joined,
     joint_error,
     read_lessons,
+    relative_errors,
     train_prior,
 )
 from kinefilter.pipeline.lab.recorded_acts import NamedTake

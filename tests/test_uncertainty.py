@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from real_data import PAIRS, paired
-from teach_uncertainty import Rows, fit, lessons, within
 
 from kinefilter import clean
 from kinefilter.characters import KINECT_V1, Clip, InputError, Take
@@ -22,6 +21,7 @@ from kinefilter.pipeline.lab.limb_guesses import HIDDEN as LIMBS
 from kinefilter.pipeline.lab.limb_guesses import hide
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import FourierRidgeLearner
 from kinefilter.pipeline.lab.training import training_set
+from kinefilter.pipeline.lab.uncertainty_lessons import Rows, fit, lessons, within
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.uncertainty import HIDDEN, SEEN
 from kinefilter.scenes.sensor import sample_take

@@ -1,14 +1,19 @@
 """Trains the prior for hidden limbs on recordings in which the limbs were visible.
 
-``tests/teach_hidden_limbs.py`` trains the one that ships.
+``python -m kinefilter.pipeline.lab.limb_lessons OUT.npz RECORDINGS...`` writes the
+weights of ``reconstruct.prior``; recordings are pairs files, takes, or mocap in BVH. It
+then prints, for each person and each third of the movements in the pairs, the errors of
+networks trained without them, in percent of the errors without networks.
 """
 
+import sys
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -17,9 +22,11 @@ from sklearn.neural_network import MLPRegressor
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
@@ -47,7 +54,7 @@ from kinefilter.pipeline.reconstruct.windows import (
 )
 from kinefilter.pipeline.workers import workers
 
-from .recorded_acts import NamedTake
+from .recorded_acts import NamedTake, recordings_in
 
 _SHORTEST, _LONGEST = 0.4, 4.0  # s for which a limb is hidden
 _CONTEXT = 6  # frames before and after a stretch in which the limb is visible
@@ -289,3 +296,38 @@ def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cle
     if all(stage.name != Reconstruct.name for stage in cleaner.stages):
         return cleaner
     return cleaner.replaced(Reconstruct(config, prior))
+
+
+def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
+    """Return each network's error of directions, in percent of that without it."""
+    percent = {}
+    for name, rows in lessons.items():
+        change = prior.change(name, rows.inputs.astype(float)).reshape(rows.base.shape)
+        error, plain = (
+            np.linalg.norm(unit(directions) - rows.truth, axis=-1).mean()
+            for directions in (rows.base + change, rows.base.astype(float))
+        )
+        percent[name] = round(float(error / plain * 100), 1)
+    return percent
+
+
+def main(out: Path, files: Sequence[str]) -> None:
+    """Train on recordings, write the weights, and print ``relative_errors``."""
+    recordings = [r for file in files for r in recordings_in(Path(file))]
+    lessons = read_lessons(recordings, get_args(Mode))
+    pairs = [Path(file) for file in files if file.endswith(".npz")]
+    people = sorted({one.person for file in pairs for one in recordings_in(file)})
+    movements = sorted({one.movement for one in lessons if one.person in people})
+    thirds = [set(movements[k::3]) for k in range(3)]
+    with workers() as pool:
+        write_arrays(out, train_prior(joined(lessons), pool).arrays())
+        for names in (*({person} for person in people), *thirds):
+            left_out = [one for one in lessons if names & {one.person, one.movement}]
+            others = [one for one in lessons if not names & {one.person, one.movement}]
+            prior = train_prior(joined(others), pool)
+            percent = relative_errors(prior, joined(left_out))
+            print(", ".join(sorted(names)), percent, flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

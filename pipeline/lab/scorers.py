@@ -11,6 +11,7 @@ off. Chiang (section 4.2) combines Shum's segment lengths with a test for errors
 last a single frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from importlib import resources
@@ -24,9 +25,11 @@ from kinefilter.characters import STANDARD_HEIGHT, InputError, Skeleton, State, 
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.reliability import (
     Reference,
     ReliabilityScorer,
+    measure_reference,
 )
 from kinefilter.retarget import measured_body
 
@@ -47,6 +50,9 @@ DOUBTFUL_ERROR = 0.25
 """Estimated error [m] at which reliability falls to 1/e. It is 0.85 at 10 cm and 0.6 at
 18 cm; of recorded joints there, three and five in ten vary by over 7 cm."""
 LARGEST_ERROR = 2.0 * DOUBTFUL_ERROR  # m, of a frame: a jump is soon forgotten
+FAR_OFF = 0.10  # m relative to the hips above which a joint is far off
+_EVERY = 4  # every fourth frame is used in training; those between add little
+_PENALTY = 1.0  # inverse strength of the penalty on large weights
 _LEAST = np.array([[1e-4], [0.05], [3e-3]])
 """Added to noise [m], speed [m/s] and length errors [m] before the logarithm, since
 differences below these values mean nothing. Guesses."""
@@ -288,6 +294,45 @@ def _embedded_weights(skeleton: Skeleton) -> ClueWeights:
     folder = resources.files("kinefilter.pipeline.lab").joinpath("embedded")
     with resources.as_file(folder / f"{skeleton.name}_doubt.npz") as path:
         return ClueWeights.load(path, skeleton)
+
+
+def learned_weights(pairs: Sequence[PairedTake]) -> ClueWeights:
+    """Return weights trained on pairs of one skeleton."""
+    from sklearn.linear_model import LogisticRegression
+
+    clues, far = map(np.concatenate, zip(*map(_clues_and_errors, pairs), strict=True))
+    learned = ClueWeights.even_odds(pairs[0].take.skeleton)
+    kinds = np.array(learned.skeleton.kinds)
+    for kind in dict.fromkeys(kinds):
+        joints = np.flatnonzero(kinds == kind)
+        known = ~np.isnan(far[:, joints])
+        inputs, wrong = clues[:, joints][known], far[:, joints][known]
+        # Laplace's rule: even odds without any data.
+        odds = (wrong.sum() + 1.0) / ((1.0 - wrong).sum() + 1.0)
+        learned.intercepts[joints] = np.log(odds)
+        if not 0.0 < wrong.sum() < len(wrong):
+            continue
+        mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
+        spread = np.where(spread > 1e-6, spread, np.inf)
+        model = LogisticRegression(C=_PENALTY, max_iter=500)
+        model.fit((inputs - mean) / spread, wrong)
+        learned.usual[joints], learned.weights[joints] = mean, model.coef_[0] / spread
+        learned.intercepts[joints] = model.intercept_[0]
+    return learned
+
+
+def _clues_and_errors(pair: PairedTake) -> tuple[Array, Array]:
+    """Return clues (T, J, C), and 1 for joints far off, NaN if unknown, (T, J)."""
+    take, skeleton = pair.take, pair.take.skeleton
+    untrained = ClueWeights.even_odds(skeleton)
+    scorer = LearnedReliabilityScorer(skeleton, measure_reference(take), untrained)
+    frames = zip(take.positions, take.state, take.time, strict=True)
+    clues = [scorer.clues(p, state, float(time)) for p, state, time in frames]
+    errors = take.positions - pair.truth
+    errors = errors - errors[:, skeleton.hips].mean(axis=1, keepdims=True)
+    distance = np.linalg.norm(errors, axis=2)
+    far = np.where(np.isnan(distance), np.nan, distance > FAR_OFF)
+    return np.array(clues[::_EVERY]), far[::_EVERY]
 
 
 @dataclass(eq=False, repr=False)

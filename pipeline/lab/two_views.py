@@ -3,37 +3,29 @@
 One rigid transform over the joints of the trunk brings them together. Each joint's
 constant offset in the heading frame is subtracted, because it depends on the direction
 from which a sensor sees the joint. The heading of the trunk is compared as well.
-
-``misplaced`` scores how likely a limb's joint is far from where the sensor places it.
 """
 
-import tomllib
 from collections.abc import Sequence
-from importlib import resources
 from typing import Any
 
 import numpy as np
 from rich.table import Column, Table
-from scipy.ndimage import uniform_filter1d
-from scipy.special import expit
 
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.motion import nominal_step
-from kinefilter.characters.rotations import unit, wrapped
-from kinefilter.characters.skeleton import SIDES
+from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
-from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.workers import workers
-from kinefilter.retarget import HeadingFrame, find_yaw
+from kinefilter.retarget import find_yaw
 
 from .accuracy import area_under_roc
 from .methods.training_data import TrainingSet
+from .misplaced import misplaced
 from .systems import check_untrained
 from .training import teach, training_set
 from .view_sessions import FAR, LIMBS, Session, away_from, read_views, view_pairs
@@ -201,69 +193,3 @@ def as_table(figures: Figures) -> Table:
 def _shown(values: dict[str, float | None], digits: int) -> str:
     figures = [values[key] for key in _FRAMES]
     return " / ".join("-" if v is None else f"{v:.{digits}f}" for v in figures)
-
-
-PARTS = {"Elbow": "Shoulder", "Wrist": "Shoulder", "Knee": "Hip", "Ankle": "Hip"}
-"""The scored joints, and the first joints of their limbs."""
-FEATURES = (
-    *("acceleration", "near side", "hangs", "own length", "length beyond"),
-    *("length before", "ahead"),
-)
-"""What describes a joint: of 18, those that tell most of p00 to p08 of two-kinects."""
-_WINDOW = 1.0  # s over which accelerations are averaged
-_SHARPEST = 300.0  # m/s^2 at which they are clipped
-
-
-def misplaced(take: Take) -> Array:
-    """Return a score in [0, 1] of each joint of PARTS being 12 cm off, shape (T, J).
-
-    A logistic regression recognizes limbs that the sensor guesses from their motion and
-    the sensor's view. It was trained on people in front of two sensors, of which the
-    frontal one showed which joints of the side-on one were off by more than 12 cm
-    (``tests/teach_misplaced.py``). The scores rank joints and are not calibrated. No
-    stage of cleaning uses them.
-    """
-    scores = np.zeros(take.positions.shape[:2])
-    path = resources.files("kinefilter.pipeline.lab").joinpath("misplaced.toml")
-    weights = tomllib.loads(path.read_text("utf-8"))
-    features = describe_limbs(take)
-    for part in PARTS:
-        bias, *scales = weights[part]
-        for j in take.skeleton.sides(part):
-            scores[:, j] = expit(bias + features[:, j] @ np.array(scales))
-    return scores
-
-
-def describe_limbs(take: Take) -> Array:
-    """Return the FEATURES of each joint, 0 for joints not scored, shape (T, J, F)."""
-    time, first, rows = np.unique(take.time, return_index=True, return_inverse=True)
-    skeleton, step = take.skeleton, nominal_step(time)
-    filled = interpolate_gaps(time, take.positions[first].reshape(len(time), -1))
-    positions = filled.reshape(len(time), -1, 3)
-    features = np.zeros((*positions.shape[:2], len(FEATURES)))
-    yaw = np.nan_to_num(find_yaw(positions, skeleton))
-    root = positions[:, skeleton.root]
-    placed = HeadingFrame(root, yaw).remove(positions)
-    turned = yaw - np.arctan2(-root[:, 0], -root[:, 2])  # 0 facing the sensor
-    elapsed = np.diff(time, prepend=time[0] - step)[:, None, None]
-    velocity = np.diff(placed, axis=0, prepend=placed[:1]) / elapsed
-    change = np.diff(velocity, axis=0, prepend=velocity[:1]) / elapsed
-    acceleration = np.minimum(np.linalg.norm(change, axis=2), _SHARPEST)
-    acceleration = uniform_filter1d(acceleration, max(round(_WINDOW / step), 1), axis=0)
-    bones = positions - positions[:, skeleton.parents]
-    lengths = np.maximum(np.linalg.norm(bones, axis=2), 1e-3)
-    odd = np.abs(np.log(lengths / np.median(lengths, axis=0)))
-    for part, top in PARTS.items():
-        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-            j, begin = skeleton.index(part + side), skeleton.index(top + side)
-            columns = [
-                acceleration[:, j],
-                np.maximum(-sign * np.sin(turned), 0.0),
-                -unit(bones[:, j])[:, 1],
-                odd[:, j],
-                odd[:, skeleton.children[j][0]],
-                odd[:, skeleton.parents[j]],
-                placed[:, j, 2] - placed[:, begin, 2],
-            ]
-            features[:, j] = np.stack(columns, axis=1)
-    return features[rows]

@@ -1,10 +1,8 @@
 """Trains the uncertainty of joints, on people that are new to the corrector.
 
-    python tests/teach_uncertainty.py pipeline/embedded/uncertainty.toml PAIRS...
-
-rewrites the weights of ``uncertainty``. For each person it prints the share of
-coordinates within the uncertainty and within 1.96 times the uncertainty, by weights
-trained without them.
+``python -m kinefilter.pipeline.lab.uncertainty_lessons OUT.toml PAIRS...`` rewrites the
+weights of ``uncertainty``. For each person it prints the share of coordinates within
+the uncertainty and within 1.96 times the uncertainty, by weights trained without them.
 """
 
 import sys
@@ -23,23 +21,19 @@ from kinefilter.pipeline import uncertainty
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
-from kinefilter.pipeline.lab.accuracy import within_uncertainty
-from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases
-from kinefilter.pipeline.lab.limb_guesses import HIDDEN, Guess, hide
-from kinefilter.pipeline.lab.limb_lessons import (
-    joined,
-    read_lessons,
-    train_prior,
-    with_prior,
-)
-from kinefilter.pipeline.lab.recorded_acts import NamedTake
-from kinefilter.pipeline.lab.training import teach, training_set
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import Mode
 from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
+
+from .accuracy import within_uncertainty
+from .hidden_limb_evaluation import join_cases
+from .limb_guesses import HIDDEN, Guess, hide
+from .limb_lessons import joined, read_lessons, train_prior, with_prior
+from .recorded_acts import NamedTake
+from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]
 
@@ -184,7 +178,7 @@ def main(out: Path, files: Sequence[str]) -> None:
         others = [row for row in rows if row is not mine]
         print(mine.person, within(fit(others), mine))
     weights = fit(rows)
-    lines = ["# Written by tests/teach_uncertainty.py: bias, weights."]
+    lines = ["# Written by kinefilter.pipeline.lab.uncertainty_lessons: bias, weights."]
     for table, names in (("seen", uncertainty.SEEN), ("hidden", uncertainty.HIDDEN)):
         lines += ["", f"[{table}] # {', '.join(names)}"]
         lines += [f"{part} = {numbers}" for part, numbers in weights[table].items()]

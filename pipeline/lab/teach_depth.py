@@ -1,10 +1,9 @@
 """Trains the forest that finds body parts in depth images, on simulated images.
 
-    python tests/teach_depth.py FOLDER scenes/sensor/embedded/body_parts.npz
-
-rewrites these weights and prints the accuracy on people and subjects who are not in the
-training data; FOLDER holds CMU's mocap (BVH). ``--help`` lists the sizes. Half of the
-images show mocap and half scripted motions of simulated people.
+``python -m kinefilter.pipeline.lab.teach_depth FOLDER OUT.npz`` rewrites
+``scenes/sensor/embedded/body_parts.npz`` and prints the accuracy on people and subjects
+who are not in the training data; FOLDER holds CMU's mocap (BVH). ``--help`` lists the
+sizes. Half of the images show mocap and half scripted motions of simulated people.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +21,6 @@ from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.pipeline.database import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
-from kinefilter.pipeline.lab.database_build import mocap_postures
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
@@ -40,6 +38,8 @@ from kinefilter.scenes.sensor.depth_tracker import (
     with_noise,
 )
 from kinefilter.scenes.sensor.visibility import PosedBody
+
+from .database_build import mocap_postures
 
 _HELD_OUT = ("02", "08", "12", "29")  # CMU's subjects who are not in training data
 _PEOPLE, _CHECKING, _TESTING = 5_000_000, 5_100_000, 5_200_000
