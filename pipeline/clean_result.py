@@ -1,7 +1,5 @@
 """What cleaning a take gives: the clip, its quality, failures, and notes on both."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -10,8 +10,16 @@ from kinefilter.characters import InputError, Tracking, TrackingName
 
 from .field_types import check_fields, converted, keyword_hints, type_hints
 from .formats.takes import FORMATS
-from .methods import METHODS, SCORERS, MethodName, ScorerName, load
-from .presets import PRESETS, Parameters, PresetName
+from .methods import (
+    METHODS,
+    PRESETS,
+    SCORERS,
+    MethodName,
+    Parameters,
+    PresetName,
+    ScorerName,
+    load,
+)
 
 _FARTHEST = 10_000.0  # m; no sensor sees a floor farther away
 _MOST = 100_000  # beyond, a count would exhaust memory and a weight drown all others

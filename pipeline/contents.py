@@ -19,6 +19,7 @@ from kinefilter.characters.skeleton import SIDES
 
 from .database import PostureDatabase
 from .edits import LIMBS, read_edits
+from .factory import load_model
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
 from .formats.files import beginning, check_file
@@ -30,7 +31,6 @@ from .formats.plain import counted
 from .formats.recording import Mocap
 from .formats.rig import own_skeleton
 from .formats.sheets import claims_contacts, contact_table
-from .models import load_model
 from .pairs import read_pairs
 
 _GAP = 1.5  # nominal steps; longer ones contain frames that never arrived

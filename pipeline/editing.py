@@ -6,8 +6,6 @@ the body and the floor, is taken from the clip without edits. A pinned joint tak
 neighbors in time and in the body along.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 from typing import Any
@@ -17,13 +15,13 @@ import numpy as np
 from kinefilter.characters import InputError, Origin, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.rotations import continuous, normalize
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
 from .draft import Draft, Unedited
 from .edits import Edit, distrusted, edited, exchanged, with_contacts
 from .progress import Progress
-from .reconstruct.foothold import middle_joint
-from .reconstruct.limbs import limbs
+from .reconstruct.continuity import middle_joint
+from .reconstruct.windows import limbs
 from .stages import Stage
 from .target.feet import PLANTED, ankles_and_toes
 from .target.target_stages import Feet

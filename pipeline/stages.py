@@ -27,7 +27,7 @@ from .failures import (
     repaired,
     stray_joints,
 )
-from .failures.guessed_knees import guessed_knees
+from .failures.limb_failures import guessed_knees
 from .methods import SCORERS, load
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference

@@ -1,9 +1,7 @@
 """Conversion between bodies: heading, size, orientation and other rigs."""
 
-from .body_size import Standardizer, measured_body
-from .bone_lengths import BoneLengths
-from .heading_frame import HeadingFrame, find_yaw
-from .orientation import fill_missing_joints, rotations_from_positions
+from .body_posture import BoneLengths, fill_missing_joints, rotations_from_positions
+from .standardize import HeadingFrame, Standardizer, find_yaw, measured_body
 from .straight_chains import Neck, Palms
 
 __all__ = [

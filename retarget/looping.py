@@ -17,9 +17,8 @@ from kinefilter.characters.rotations import (
     unit,
 )
 
-from .bent_limb import bent_limb, rejection, shortage
-from .heading_frame import floor_frame
-from .stance import smooth_step
+from .limbs import bent_limb, rejection, shortage, smooth_step
+from .standardize import floor_frame
 
 _BLEND = 0.4  # s at the end that are changed, at most half of the clip. A guess.
 _MARGIN = 3.0  # s on both sides of a loop; few steps take longer

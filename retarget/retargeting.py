@@ -24,10 +24,16 @@ from kinefilter.characters.rotations import (
     wrapped,
 )
 
-from .bent_limb import bent_limb, rejection, shortage
-from .heading_frame import HeadingFrame, floor_frame
+from .limbs import (
+    bent_limb,
+    holding_moves,
+    near_stance,
+    rejection,
+    shortage,
+    smooth_step,
+)
 from .rig_map import NEXT, SIDES
-from .stance import holding_moves, near_stance, smooth_step
+from .standardize import HeadingFrame, floor_frame
 from .target_rig import TargetRig, Twist
 
 _SEGMENTS = {

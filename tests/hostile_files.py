@@ -27,6 +27,7 @@ from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, State, T
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.edits import read_edits
+from kinefilter.pipeline.factory import Model, load_model, save_model
 from kinefilter.pipeline.formats import (
     read_bvh,
     read_clip,
@@ -37,8 +38,7 @@ from kinefilter.pipeline.formats import (
 )
 from kinefilter.pipeline.formats.keypoints import BLAZEPOSE
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
-from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
-from kinefilter.pipeline.models import Model, load_model, save_model
+from kinefilter.pipeline.lab.methods.baselines import JointOffsets
 from kinefilter.pipeline.pairs import read_pairs
 
 Reader = Callable[[Path], object]

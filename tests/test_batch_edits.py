@@ -10,9 +10,9 @@ from batch_folders import QUICK, clean_folder, make_folder, rows_of, table_of
 from batch_takes import Here, short_take, write_session
 
 from kinefilter import CleanConfig, InputError
-from kinefilter.pipeline.batch.again import clean_again, find_takes
 from kinefilter.pipeline.batch.manifest import Row, open_manifest, read_rows
 from kinefilter.pipeline.batch.store import store_at
+from kinefilter.pipeline.batch.task import clean_again, find_takes
 from kinefilter.pipeline.edits import Edit, edits_text
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.export import Export

@@ -18,10 +18,10 @@ from kinefilter.pipeline.lab.studies import (
     Options,
     claims,
     fingerprint,
-    output,
     recordings_folder,
     reproduce,
     shum,
+    study,
 )
 from kinefilter.pipeline.lab.studies.cleaned_takes import _LOW_IS_WORSE
 from kinefilter.pipeline.lab.studies.study import Panel, Series, Study
@@ -165,7 +165,7 @@ def test_all_says_which_claims_held_and_goes_on_where_it_ended(
     monkeypatch.setattr(f"{studies}.check_names", lambda _: None)
     monkeypatch.setattr(f"{studies}.reproduce", measured)
     monkeypatch.setattr(
-        f"{studies}.output.make_pictures", lambda *_, **__: iter(["drawn"])
+        f"{studies}.study.make_pictures", lambda *_, **__: iter(["drawn"])
     )
     monkeypatch.setattr(claims, "read_claims", lambda: [CLAIM])
     arguments = ["reproduce", "--all", str(tmp_path / "all")]
@@ -238,13 +238,13 @@ def test_a_picture_that_cannot_be_made_is_told(
     def refuse(*_: object, **__: object) -> None:
         raise InputError("no OpenGL")
 
-    monkeypatch.setattr(output, "_animate", refuse)
+    monkeypatch.setattr(study, "_animate", refuse)
     folder = tmp_path / "pictures"
     folder.mkdir()
-    monkeypatch.setattr(output, "SAMPLE", write_short_sample(tmp_path / "few", 39))
-    told = list(output.make_pictures(folder))
+    monkeypatch.setattr(study, "SAMPLE", write_short_sample(tmp_path / "few", 39))
+    told = list(study.make_pictures(folder))
     assert "no OpenGL" in told[0]
     assert [line.split()[0] for line in told] == ["not"] * len(told)
     assert list(folder.iterdir()) == []
     options = {field.name for field in fields(Look)}
-    assert all(part.keys() <= options for *_, part in output._MIMED)
+    assert all(part.keys() <= options for *_, part in study._MIMED)

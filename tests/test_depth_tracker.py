@@ -21,21 +21,19 @@ from kinefilter.pipeline.lab.studies import Options, reproduce
 from kinefilter.pipeline.lab.studies.tracker_studies import error_figures
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import SENSORS, Sensor, in_sensor_frame, observe
-from kinefilter.scenes.sensor.depth_image import (
-    BACKGROUND,
-    DepthCamera,
-    DepthImage,
-    nearest_joints,
-    with_noise,
-)
 from kinefilter.scenes.sensor.depth_tracker import (
+    BACKGROUND,
     BODY_PARTS,
     BodyPartForest,
+    DepthCamera,
+    DepthImage,
     depth_differences,
     hold_inferred,
+    nearest_joints,
     parts_of_joints,
     propose,
     shipped_forest,
+    with_noise,
 )
 from kinefilter.scenes.sensor.visibility import PosedBody
 

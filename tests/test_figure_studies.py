@@ -13,15 +13,14 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.lab.hidden_limb_evaluation import middle
 from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.pipeline.lab.studies import study_takes as takes
-from kinefilter.pipeline.lab.studies.cleaned_takes import _mean_and_worst
-from kinefilter.pipeline.lab.studies.detection import _near
-from kinefilter.pipeline.lab.studies.doubtful_limbs import _means, _raw
-from kinefilter.pipeline.lab.studies.held_props import (
-    _figures,
+from kinefilter.pipeline.lab.studies.cleaned_takes import (
+    _figures_held,
+    _mean_and_worst,
     cleaned_in,
     count_dribbles,
 )
-from kinefilter.pipeline.lab.studies.method_comparison import _study
+from kinefilter.pipeline.lab.studies.detection import _near
+from kinefilter.pipeline.lab.studies.method_comparison import _means, _raw, _study
 from kinefilter.pipeline.lab.studies.study import Options
 
 WRIST = KINECT_V1.index("WristLeft")
@@ -42,7 +41,7 @@ def test_a_box_rises_only_if_it_is_held() -> None:
     pair = simulate("box", "lift_box", seed=3)
     take = replace(pair.take, positions=pair.truth)
     results = (cleaned_in("box", take, holds=holds) for holds in (True, False))
-    held, left = (_figures(result, (0.0, 0.25))["peak"] for result in results)
+    held, left = (_figures_held(result, (0.0, 0.25))["peak"] for result in results)
     assert held > 0.6
     assert left < 0.3
 

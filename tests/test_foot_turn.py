@@ -10,7 +10,7 @@ from skeletons import every_skeleton
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate, wrapped
 from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, plant_feet
-from kinefilter.pipeline.target.foot_turn import (
+from kinefilter.pipeline.target.possible_postures import (
     hips_yaw,
     standing_direction,
     turned_ahead,
@@ -94,7 +94,8 @@ def test_feet_of_performers_are_left_alone(
     path, weights = take.positions, np.ones(take.state.shape)
     stands = find_stance(take.time, path, weights, KINECT_V1)
     found, _ = plant_feet(take.time, path, weights, stands, BODY)
-    monkeypatch.setattr("kinefilter.pipeline.target.foot_turn._SPLAYED", np.pi - 1e-6)
+    module = "kinefilter.pipeline.target.possible_postures"
+    monkeypatch.setattr(f"{module}._SPLAYED", np.pi - 1e-6)
     free, _ = plant_feet(take.time, path, weights, stands, BODY)
     assert np.linalg.norm(found - free, axis=2).max() < 0.01
 

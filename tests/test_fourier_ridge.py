@@ -23,7 +23,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Observation, fourier_ridge
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.posture_features import RandomFeatures
-from kinefilter.pipeline.factory import make_corrector
+from kinefilter.pipeline.factory import Model, make_corrector, save_model, shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
 from kinefilter.pipeline.lab.methods.fourier_ridge_learner import (
@@ -32,7 +32,6 @@ from kinefilter.pipeline.lab.methods.fourier_ridge_learner import (
 )
 from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
-from kinefilter.pipeline.models import Model, save_model, shipped_model
 from kinefilter.pipeline.pairs import read_pairs
 from kinefilter.scenes.library import perform
 

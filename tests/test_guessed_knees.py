@@ -11,7 +11,7 @@ from real_data import DATA, recorded
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V2, State
-from kinefilter.pipeline.failures.guessed_knees import guessed_knees
+from kinefilter.pipeline.failures.limb_failures import guessed_knees
 from kinefilter.pipeline.lab.simulation import simulate
 
 KNEE, ANKLE = KINECT_V2.index("KneeLeft"), KINECT_V2.index("AnkleLeft")

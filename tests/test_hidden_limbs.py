@@ -23,7 +23,7 @@ from kinefilter.pipeline.lab.hidden_limb_evaluation import (
 )
 from kinefilter.pipeline.lab.limb_guesses import hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import Lesson, Lessons, joined
-from kinefilter.pipeline.lab.limb_recordings import NamedTake
+from kinefilter.pipeline.lab.recorded_acts import NamedTake
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.workers import workers

@@ -24,8 +24,8 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.database import PostureDatabase
+from kinefilter.pipeline.factory import load_model
 from kinefilter.pipeline.formats import read_bvh, read_clip, read_recording
-from kinefilter.pipeline.models import load_model
 from kinefilter.pipeline.pairs import read_pairs
 
 EXAMPLES = 100

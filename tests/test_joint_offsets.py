@@ -30,7 +30,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
-from kinefilter.pipeline.lab.methods.joint_offsets import JointOffsets
+from kinefilter.pipeline.lab.methods.baselines import JointOffsets
 from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.simulation import simulate, simulated_pairs
 from kinefilter.pipeline.lab.training import observed, training_set

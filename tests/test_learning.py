@@ -22,6 +22,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import Observation
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
+from kinefilter.pipeline.factory import Model, load_model, save_model
 from kinefilter.pipeline.lab import training
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
@@ -31,7 +32,6 @@ from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.metrics import distances, jitter
-from kinefilter.pipeline.models import Model, load_model, save_model
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.scenes.library import perform
 

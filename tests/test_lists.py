@@ -9,8 +9,7 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.commands.learn import Train
 from kinefilter.pipeline.lab.commands.measure import Reproduce
 from kinefilter.pipeline.lab.studies import STUDIES
-from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
-from kinefilter.pipeline.presets import PRESETS
+from kinefilter.pipeline.methods import LEARNED, METHODS, PRESETS, SCORERS
 
 ROOT = Path(__file__).parents[1]
 

@@ -21,7 +21,7 @@ from kinefilter.pipeline.correct.posture_space import (
     stochastic_search,
 )
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
-from kinefilter.pipeline.lab.methods.posture import Nearest, NoReliability
+from kinefilter.pipeline.lab.methods.baselines import Nearest, NoReliability
 from kinefilter.pipeline.reliability import ReliabilityScorer, measure_reference
 from kinefilter.retarget import Standardizer, measured_body
 from kinefilter.scenes.library import perform

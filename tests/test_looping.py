@@ -19,7 +19,7 @@ from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, multiply, rotate
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import Export, read_clip, read_take, write_clip
-from kinefilter.retarget.bent_limb import shortage
+from kinefilter.retarget.limbs import shortage
 from kinefilter.retarget.looping import _DEEPEST, looped, repeated
 
 Array = NDArray[np.float64]

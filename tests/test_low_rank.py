@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.correct import Observation
-from kinefilter.pipeline.lab.methods.low_rank import (
+from kinefilter.pipeline.lab.methods.baselines import (
     Decomposition,
     LowRank,
     decompose,

@@ -21,11 +21,10 @@ from kinefilter.pipeline.lab.limb_lessons import (
     relative_errors,
     train_prior,
 )
-from kinefilter.pipeline.lab.limb_recordings import NamedTake
+from kinefilter.pipeline.lab.recorded_acts import NamedTake
 from kinefilter.pipeline.lab.simulation import simulated_pairs
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
-from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
     default_prior,
     inputs_of,
@@ -36,6 +35,8 @@ from kinefilter.pipeline.reconstruct.windows import (
     Limb,
     Stretches,
     describe,
+    limb_of,
+    limbs,
 )
 from kinefilter.pipeline.workers import workers
 

@@ -27,7 +27,7 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_bvh, read_clip, write_clip
 from kinefilter.pipeline.formats.export import shaped, with_root_motion
 from kinefilter.pipeline.formats.rig import RootMotion
-from kinefilter.retarget.heading_frame import floor_frame
+from kinefilter.retarget.standardize import floor_frame
 
 Array = NDArray[np.float64]
 MakeClip = Callable[..., Clip]

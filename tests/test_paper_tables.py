@@ -20,24 +20,24 @@ from kinefilter.pipeline.lab.studies import (
     method_comparison,
     reproduce,
     shum,
-    trial,
+    study_takes,
     wang,
 )
 from kinefilter.pipeline.lab.studies.study import Options
 from kinefilter.pipeline.lab.systems import CorrectorFactory
+from kinefilter.pipeline.methods import PRESETS
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.presets import PRESETS
 
 
 @pytest.fixture
 def short_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let simulated people be recorded for four seconds."""
-    performed = trial.performed_by
+    performed = study_takes.performed_by
 
     def short(*who: Any, **how: Any) -> list[PairedTake]:
         return [beginning(pair, 120) for pair in performed(*who, **how)]
 
-    monkeypatch.setattr(trial, "performed_by", short)
+    monkeypatch.setattr(study_takes, "performed_by", short)
 
 
 def test_a_spread_is_that_of_closed_forms_take_by_take() -> None:
@@ -141,7 +141,7 @@ def test_budgeting_keeps_fewer_frames_than_there_are(
 
 
 def test_nobody_is_tested_by_those_whom_they_taught() -> None:
-    new, known = trial.simulated(Options(), ["wave"], learners=2, share=2)
+    new, known = study_takes.simulated(Options(), ["wave"], learners=2, share=2)
     taught = {pair.clip for pair in new.trainer._train}
     assert len(taught) == 2
     assert not taught & {pair.clip for pair in (*new.tests, *known.tests)}
@@ -156,7 +156,7 @@ def test_nobody_is_tested_by_those_whom_they_taught() -> None:
 
 
 def test_frames_are_split_so_that_none_is_on_both_sides() -> None:
-    clips = trial.simulated(Options(), ["wave"], learners=2)[0].trainer._train
+    clips = study_takes.simulated(Options(), ["wave"], learners=2)[0].trainer._train
     clips = [
         replace(pair, clip=f"m01_e{k}") for k, pair in zip((7, 8), clips, strict=True)
     ]
@@ -171,8 +171,8 @@ def test_frames_are_split_so_that_none_is_on_both_sides() -> None:
 
 
 def test_errors_are_means_over_the_takes_of_everybody_tested() -> None:
-    groups = trial.simulated(Options(), ["wave"], learners=2, share=2)
-    found = trial.errors(groups, None)
+    groups = study_takes.simulated(Options(), ["wave"], learners=2, share=2)
+    found = study_takes.errors(groups, None)
     (pair,) = groups[0].tests
     away = groups[0].accuracy.distances(pair.take.positions, pair.truth)
     assert found["new"] == pytest.approx(100.0 * np.nanmean(away))
@@ -182,14 +182,14 @@ def test_errors_are_means_over_the_takes_of_everybody_tested() -> None:
 @recorded
 @paired
 def test_recorded_people_are_left_out_in_turn() -> None:
-    groups = list(trial.recorded(Options(data=DATA), every=60, count=2))
+    groups = list(study_takes.recorded(Options(data=DATA), every=60, count=2))
     assert [g.people for g in groups] == ["recorded, new"] * 2 + ["recorded, known"]
     for group in groups[:2]:
         (tested,) = {pair.subject for pair in group.tests}
         assert tested not in {pair.subject for pair in group.trainer._train}
     early = {pair.clip[-2:] for pair in groups[2].trainer._train}
     assert max(early - {"nc"}) <= "07"
-    assert not list(trial.recorded(Options(), every=60))
+    assert not list(study_takes.recorded(Options(), every=60))
 
 
 def test_a_joint_is_followed_in_takes_of_both_groups(
@@ -203,18 +203,22 @@ def test_a_joint_is_followed_in_takes_of_both_groups(
         moved[:, wrist, 1] += 0.1
         return moved
 
-    def groups(*_: object, **__: object) -> list[trial.Group]:
+    def groups(*_: object, **__: object) -> list[study_takes.Group]:
         trainer = CorrectorFactory([pair])
-        return [trial.Group(who, [pair], trainer) for who in ("new", "known")]
+        return [study_takes.Group(who, [pair], trainer) for who in ("new", "known")]
 
-    def runners(_: trial.Group, presets: list[str]) -> list[Callable[[Take], Array]]:
+    def runners(
+        _: study_takes.Group, presets: list[str]
+    ) -> list[Callable[[Take], Array]]:
         assert presets == ["a preset"]
         return [lambda take: take.positions, off]
 
-    monkeypatch.setattr(trial, "simulated", groups)
-    monkeypatch.setattr(trial.Group, "runners", runners)
-    trace = trial.Trace("wave", "WristLeft", {"kinect": 9.0, "a preset": 3.0})
-    study = trial.trace_study(Options(), "Made up", [trace], people=4, sensor="v1")
+    monkeypatch.setattr(study_takes, "simulated", groups)
+    monkeypatch.setattr(study_takes.Group, "runners", runners)
+    trace = study_takes.Trace("wave", "WristLeft", {"kinect": 9.0, "a preset": 3.0})
+    study = study_takes.trace_study(
+        Options(), "Made up", [trace], people=4, sensor="v1"
+    )
     raw, moved = study.rows
     assert moved[0] == "WristLeft, wave, a preset"
     assert moved[1:3] == (pytest.approx(10.0), pytest.approx(10.0))

@@ -32,7 +32,7 @@ from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
 from kinefilter.pipeline.physics.world import steps_in
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.bent_limb import bent_limb
+from kinefilter.retarget.limbs import bent_limb
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V2, Skeleton, standard_body
-from kinefilter.pipeline.target.possible_knees import possible_knees
+from kinefilter.pipeline.target.possible_postures import possible_knees
 from kinefilter.scenes.library import MOTIONS
 
 

@@ -12,7 +12,7 @@ from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import Body, Skeleton, Take, standard_body
 from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.reliability import measure_body, measure_reference
-from kinefilter.pipeline.target.possible_trunk import possible_trunk
+from kinefilter.pipeline.target.possible_postures import possible_trunk
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import MOTIONS
 

@@ -17,18 +17,16 @@ from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.correct import CorrectorChain, LocalPCA
 from kinefilter.pipeline.correct.posture_space import EnergyWeights
 from kinefilter.pipeline.database import builtin_database
-from kinefilter.pipeline.factory import make_corrector
+from kinefilter.pipeline.factory import Model, load_model, make_corrector, save_model
 from kinefilter.pipeline.field_types import converted, keyword_hints
 from kinefilter.pipeline.formats import write_take_csv
+from kinefilter.pipeline.lab.methods.baselines import LeastEnergy
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
-from kinefilter.pipeline.lab.methods.posture import LeastEnergy
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
 from kinefilter.pipeline.lab.training import training_set
-from kinefilter.pipeline.methods import LEARNED, METHODS, SCORERS
-from kinefilter.pipeline.models import Model, load_model, save_model
+from kinefilter.pipeline.methods import LEARNED, METHODS, PRESETS, SCORERS
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
-from kinefilter.pipeline.presets import PRESETS
 from kinefilter.scenes.sensor import sample_take
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")

@@ -9,7 +9,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import Skeleton, positions_from_rotations, standard_body
 from kinefilter.characters.rotations import IDENTITY, about_x, multiply
-from kinefilter.retarget.bent_limb import Reach
+from kinefilter.retarget.limbs import Reach
 
 Array = NDArray[np.float64]
 

@@ -23,8 +23,13 @@ from kinefilter.pipeline.reconstruct import (
     hidden_limbs,
     recall,
 )
-from kinefilter.pipeline.reconstruct.continuity import bridge, bridge_matrix, coast
-from kinefilter.pipeline.reconstruct.foothold import leg_to_goal, middle_joint
+from kinefilter.pipeline.reconstruct.continuity import (
+    bridge,
+    bridge_matrix,
+    coast,
+    leg_to_goal,
+    middle_joint,
+)
 from kinefilter.pipeline.reconstruct.recall import Process
 
 Array = NDArray[np.float64]

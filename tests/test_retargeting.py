@@ -14,7 +14,7 @@ from rig_motions import ARM, LEG, SIDES, bent_to, performed
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import CONTACTS, KINECT_V1, KINECT_V2, Clip, standard_body
 from kinefilter.characters.rotations import about_y, multiply, rotate, rotation_vector
-from kinefilter.retarget.bent_limb import shortage
+from kinefilter.retarget.limbs import shortage
 from kinefilter.retarget.retargeting import Retargeted, retarget
 from kinefilter.retarget.rig_map import RIGS, load_rig_map
 from kinefilter.retarget.target_rig import RestPose, TargetRig, built_rig, matched_rig

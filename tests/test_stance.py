@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rig_motions import bent_to
 
-from kinefilter.retarget.bent_limb import bent_limb
-from kinefilter.retarget.stance import holding_moves, near_stance
+from kinefilter.retarget.limbs import bent_limb, holding_moves, near_stance
 
 Array = NDArray[np.float64]
 

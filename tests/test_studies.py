@@ -14,7 +14,8 @@ import pytest
 from kinefilter.characters import KINECT_V1, SKELETONS, InputError, standard_body
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.lab.studies import STUDIES, Study, output, reproduce, shum
+from kinefilter.pipeline.lab.studies import STUDIES, Study, reproduce, shum
+from kinefilter.pipeline.lab.studies import study as output
 from kinefilter.pipeline.lab.studies.shum import bone_errors
 from kinefilter.pipeline.lab.studies.study import Options, Panel, Series
 from kinefilter.pipeline.lab.studies.study_takes import (

@@ -13,7 +13,7 @@ from kinefilter.characters import KINECT_V1
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.humanoid import build_humanoid, from_mujoco, to_mujoco
 from kinefilter.characters.rotations import inverse, multiply
-from kinefilter.pipeline.target.support import required_wrench, unexplained
+from kinefilter.pipeline.metrics import required_wrench, unexplained
 from kinefilter.scenes.library import perform
 
 

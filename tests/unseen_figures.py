@@ -33,7 +33,7 @@ from kinefilter.pipeline.lab.limb_lessons import (
     train_prior,
     with_prior,
 )
-from kinefilter.pipeline.lab.limb_recordings import NamedTake, recordings_in
+from kinefilter.pipeline.lab.recorded_acts import NamedTake, recordings_in
 from kinefilter.pipeline.reconstruct import MotionPrior
 from kinefilter.pipeline.reconstruct.prior import HANGING, Mode
 from kinefilter.pipeline.workers import workers

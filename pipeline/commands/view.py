@@ -116,9 +116,9 @@ class View:
 
     def _listed(self, folder: Path) -> list[tuple[Row, ClipRow]]:
         """Return the clips of a batch, the worst first."""
-        from kinefilter.pipeline.batch.again import find_takes
         from kinefilter.pipeline.batch.manifest import read_rows
         from kinefilter.pipeline.batch.outcome_tables import worst_first
+        from kinefilter.pipeline.batch.task import find_takes
 
         if self.config != CleanConfig() or self.other or self.body:
             raise InputError(
@@ -145,7 +145,7 @@ class View:
         if not clips:
             drawing, draw = self._drawing(EditsFile(self._save).read())
             return drawing, self._save, draw
-        from kinefilter.pipeline.batch.again import clean_again, find_takes
+        from kinefilter.pipeline.batch.task import clean_again, find_takes
 
         (row, clip), (folder,) = clips[number], self.motion
         path, takes = folder / clip.output, find_takes(row, self.take)

@@ -31,7 +31,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from kinefilter.characters import KINECT_V2, Skeleton
 from kinefilter.characters.arrays import Array, Indices, Singles, chunks
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.body_size import chain_matrix
+from kinefilter.retarget.standardize import chain_matrix
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector

@@ -1,7 +1,5 @@
 """Blending a prior posture with a measured one, and filling missing joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

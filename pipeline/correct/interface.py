@@ -1,7 +1,5 @@
 """The interface of correction methods, for single frames and for whole takes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Correction methods that were trained on pairs of Kinect and mocap."""
 
-from __future__ import annotations
-
 import json
 from typing import Any, ClassVar, Self
 

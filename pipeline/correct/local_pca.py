@@ -1,7 +1,5 @@
 """Correction in the natural posture space of the nearest postures (Shum 2013)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import islice
 from typing import Literal

@@ -1,7 +1,5 @@
 """The One-Euro filter, which smooths live motion."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The features of postures and movement that the learned corrector uses."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ minimum: a solver and the paper's sampling. ``NaturalSpaces`` finds the part of 
 posture that lies outside the natural posture spaces around it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import median_filter
 
-from kinefilter.characters import Take
+from kinefilter.characters import State, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
@@ -191,3 +191,22 @@ def _distances(start: Array, way: Array, low: Array, high: Array) -> Array:
     s = np.clip((b * t - c) / a, 0.0, 1.0)
     nearest = between + s[:, None] * way - t[:, None] * other
     return np.asarray(np.linalg.norm(nearest, axis=1))
+
+
+_RARELY, _MOSTLY = 0.3, 0.5  # shares of the frames. Guesses.
+
+
+def guessed_knees(take: Take) -> Flags:
+    """Return True for guesses of knees that are rarely tracked, unlike the leg, (T, J).
+
+    So are knees behind a desk: a Kinect guesses legs that hang, also of people who sit;
+    where knees are follows better from the rest of the body. Where a whole leg is
+    guessed, the sensor's guess is better than none.
+    """
+    tracked = take.state == State.TRACKED
+    share, guessed = tracked.mean(axis=0), np.zeros_like(tracked)
+    for side in SIDES:
+        hip, knee, ankle = (take.skeleton.index(part + side) for part in LIMBS["leg"])
+        if share[knee] <= _RARELY and min(share[[hip, ankle]]) > _MOSTLY:
+            guessed[:, knee] = ~tracked[:, knee]
+    return np.asarray(guessed)

@@ -13,8 +13,8 @@ from kinefilter.characters.gaps import LONG_GAP, describe_gaps, long_gaps
 from kinefilter.characters.motion import CONTACTS, Clip, Origin, Term, frames_per_second
 from kinefilter.characters.rotations import between, multiply, slerp
 from kinefilter.pipeline.field_types import check_fields
-from kinefilter.retarget.heading_frame import floor_frame
 from kinefilter.retarget.looping import looped
+from kinefilter.retarget.standardize import floor_frame
 
 from .rig import RootMotion
 from .rows import MOST_FRAMES

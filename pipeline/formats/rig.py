@@ -10,8 +10,8 @@ import numpy as np
 from kinefilter.characters import SKELETONS, Body, Clip, Motion, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import IDENTITY, inverse, multiply, rotate
-from kinefilter.retarget.body_size import measured_body
 from kinefilter.retarget.retargeting import Retargeted, rig_frame, segment_of
+from kinefilter.retarget.standardize import measured_body
 from kinefilter.retarget.target_rig import RestPose, TargetRig
 
 RootMotion = Literal["travel", "in-place", "none"]

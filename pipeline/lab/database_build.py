@@ -20,7 +20,7 @@ from kinefilter.pipeline.reliability import (
     segment_lengths,
 )
 from kinefilter.retarget import Standardizer, find_yaw, rotations_from_positions
-from kinefilter.retarget.orientation import fill_missing_joints
+from kinefilter.retarget.body_posture import fill_missing_joints
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool

@@ -29,7 +29,7 @@ from .accuracy import LIMBS, within_uncertainty
 from .evaluate import followed
 from .limb_guesses import HIDDEN, SIMPLE, Guess, hide, simple_guesses
 from .limb_lessons import Lesson, joined, read_lessons, train_prior, with_prior
-from .limb_recordings import NamedTake, recordings_in
+from .recorded_acts import NamedTake, recordings_in
 from .systems import CorrectorFactory, System, as_step, systems_of
 
 Context = Literal["alone", "repetitions"]

@@ -30,7 +30,6 @@ from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
-from kinefilter.pipeline.reconstruct.limbs import limb_of, limbs
 from kinefilter.pipeline.reconstruct.prior import (
     HANGING,
     OUTPUT,
@@ -50,10 +49,12 @@ from kinefilter.pipeline.reconstruct.windows import (
     Limb,
     Stretches,
     describe,
+    limb_of,
+    limbs,
 )
 from kinefilter.pipeline.workers import workers
 
-from .limb_recordings import NamedTake, recordings_in
+from .recorded_acts import NamedTake, recordings_in
 
 _SHORTEST, _LONGEST = 0.4, 4.0  # s for which a limb is hidden
 _CONTEXT = 6  # frames before and after a stretch in which the limb is visible

@@ -11,8 +11,7 @@ from kinefilter.pipeline.formats.files import atomic_path
 from kinefilter.pipeline.reliability import column_medians
 
 from .pairing import Pairing
-from .studies.output import draw
-from .studies.study import Panel, Series, Study
+from .studies.study import Panel, Series, Study, draw
 
 
 def figures_of(pairing: Pairing) -> dict[str, Any]:

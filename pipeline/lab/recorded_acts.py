@@ -1,8 +1,10 @@
-"""Recorded pairs of Kinect and mocap, and mocap as performances for virtual sensors."""
+"""Recordings for the lab: pairs, takes, and mocap that virtual sensors see."""
 
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -10,12 +12,13 @@ from kinefilter.characters import KINECT_V1, Body, InputError, Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import Motion, State, Take
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
+from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.floor import clearances
 from kinefilter.retarget import measured_body, rotations_from_positions
-from kinefilter.retarget.heading_frame import HeadingFrame, find_yaw
-from kinefilter.retarget.orientation import fill_missing_joints
+from kinefilter.retarget.body_posture import fill_missing_joints
+from kinefilter.retarget.standardize import HeadingFrame, find_yaw
 from kinefilter.scenes.sensor import Tracker, observe
 from kinefilter.scenes.sensor.geometry import Sensor, in_sensor_frame, in_world_frame
 
@@ -121,3 +124,52 @@ def _motion(time: Array, positions: Array, body: Body, source: str) -> Motion:
     root = positions[:, body.skeleton.root]
     rotations = rotations_from_positions(positions, body)
     return Motion(time=time, body=body, root=root, rotations=rotations, source=source)
+
+
+_JITTER = 0.008  # m, added to mocap, which jitters less than a sensor. A guess.
+_MOCAP_RATE = 30.0  # Hz
+# Share of the frames of pairs that unseen arms are learned from: with all of them, the
+# unseen arms of any take do the few exercises of the pairs.
+_SHARE_OF_PAIRS = 0.15
+
+
+class NamedTake(NamedTuple):
+    """A take with the names of the person, movement and clip."""
+
+    person: str
+    movement: str
+    name: str
+    take: Take
+    share: float = 1.0  # of its frames, to learn unseen arms from
+
+    @classmethod
+    def of(cls, pair: PairedTake) -> Self:
+        """Return the Kinect take of a pair."""
+        names = pair.subject, pair.movement, pair.clip
+        return cls(*names, pair.take, _SHARE_OF_PAIRS)
+
+
+def recordings_in(file: Path) -> Iterator[NamedTake]:
+    """Yield the recordings in a pairs file (.npz), mocap (.bvh) or a take."""
+    name = file.name.partition(".")[0]
+    if file.suffix == ".npz":
+        yield from map(NamedTake.of, read_pairs(file))
+    else:
+        is_mocap = ".bvh" in file.suffixes
+        take = _take_of_mocap(file, name) if is_mocap else read_take(file)
+        yield NamedTake(name, name, name, take)
+
+
+def _take_of_mocap(file: Path, name: str) -> Take:
+    mocap = read_mocap(file, [])
+    positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
+    meters, _ = mocap_body(positions, KINECT_V1)
+    step = max(1, round(1.0 / (_MOCAP_RATE * mocap.frame_time)))
+    # The first frame is skipped, because it often is a T-pose.
+    frames = np.flatnonzero(whole_frames(positions))[1::step]
+    positions = meters * positions[frames]
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    positions += rng.normal(scale=_JITTER, size=positions.shape)
+    time = np.arange(float(len(positions))) * step * mocap.frame_time
+    state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    return Take(time, positions, state, KINECT_V1, str(file))

@@ -10,9 +10,8 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, CorrectorChain, LearnedCorrector
 from kinefilter.pipeline.database import PostureDatabase, builtin_database
 from kinefilter.pipeline.factory import make_corrector
-from kinefilter.pipeline.methods import LEARNED, METHODS
+from kinefilter.pipeline.methods import LEARNED, METHODS, PRESETS
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import Progress, over, silent
 
 from .methods.training_data import TrainingSet

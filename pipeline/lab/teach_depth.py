@@ -24,20 +24,18 @@ from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
-from kinefilter.scenes.sensor.depth_image import (
-    DepthCamera,
-    DepthImage,
-    nearest_joints,
-    with_noise,
-)
 from kinefilter.scenes.sensor.depth_tracker import (
     BODY_PARTS,
     BodyPartForest,
+    DepthCamera,
+    DepthImage,
     depth_differences,
     joint_constants,
+    nearest_joints,
     parts_of_joints,
     propose,
     push_behind_skin,
+    with_noise,
 )
 from kinefilter.scenes.sensor.visibility import PosedBody
 

@@ -32,7 +32,7 @@ from .accuracy import within_uncertainty
 from .hidden_limb_evaluation import join_cases
 from .limb_guesses import HIDDEN, Guess, hide
 from .limb_lessons import joined, read_lessons, train_prior, with_prior
-from .limb_recordings import NamedTake
+from .recorded_acts import NamedTake
 from .training import teach, training_set
 
 Weights = dict[str, dict[str, list[float]]]

@@ -1,9 +1,15 @@
 """Merges the takes of one person by several sensors into a single take."""
 
 from .alignment import Alignment, align
-from .cleaning import Corrected, clean_session
 from .fusion import Fused, Fusion, Sight
-from .session import Merged, merge, read_calibration, write_calibration
+from .session import (
+    Corrected,
+    Merged,
+    clean_session,
+    merge,
+    read_calibration,
+    write_calibration,
+)
 
 __all__ = [
     "Alignment",

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import unit
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
 from .holdable import HORIZONTAL, STRENGTH, UP, Holdable
 

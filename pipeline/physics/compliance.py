@@ -18,7 +18,7 @@ from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector, slerp
 from kinefilter.characters.tracking import GameTracking
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
 FALLEN_DAMPING = 8.0
 """Joint damping of a fallen body, relative to a limp one. A guess: at 1, bodies that

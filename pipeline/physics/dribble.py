@@ -12,8 +12,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import unit
-from kinefilter.retarget.bent_limb import at_most
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import at_most, smooth_step
 
 from .carry import PerformerHands
 from .holdable import HORIZONTAL, UP, Holdable

@@ -16,8 +16,7 @@ from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.rotations import cross, unit
-from kinefilter.retarget.bent_limb import Reach
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import Reach, smooth_step
 
 from .carry import Carry, PerformerHands
 from .compliance import damped

@@ -11,7 +11,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.humanoid import from_mujoco, prefix_of, to_mujoco
 from kinefilter.characters.rotations import cross, unit
-from kinefilter.retarget.bent_limb import at_most
+from kinefilter.retarget.limbs import at_most
 
 HANDS = ("HandLeft", "HandRight")
 HORIZONTAL = np.array([1.0, 0.0, 1.0])

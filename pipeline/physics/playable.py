@@ -13,7 +13,7 @@ from kinefilter.characters import Body, Prop, Tracking
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.bent_limb import at_most
+from kinefilter.retarget.limbs import at_most
 
 from .pulled_character import PulledCharacter
 from .scene_props import SceneProps

@@ -19,7 +19,7 @@ from kinefilter.pipeline.formats.export import resampled
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
 from .grasp import seen_hands
 from .playable import Playable

@@ -14,7 +14,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Indices
-from kinefilter.retarget.bent_limb import Reach, at_most
+from kinefilter.retarget.limbs import Reach, at_most
 
 from .holdable import Holdable
 

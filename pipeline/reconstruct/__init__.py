@@ -2,7 +2,6 @@
 
 from .hidden_limbs import fill_hidden
 from .prior import MotionPrior
-from .stage import Reconstruct
-from .tracker import HiddenLimbTracker
+from .stage import HiddenLimbTracker, Reconstruct
 
 __all__ = ["HiddenLimbTracker", "MotionPrior", "Reconstruct", "fill_hidden"]

@@ -6,8 +6,6 @@ Limbs that were never seen, such as legs behind a desk, have no motion to contin
 networks predict their directions from the posture of the rest of the body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -19,14 +17,22 @@ from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame, find_yaw
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
-from .continuity import bridge
-from .foothold import middle_joint, planted_height
-from .limbs import in_limbs, limb_of, limbs, with_tips
+from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
-from .windows import BridgedMotion, Descriptions, Limb, Stretches, describe
+from .windows import (
+    BridgedMotion,
+    Descriptions,
+    Limb,
+    Stretches,
+    describe,
+    in_limbs,
+    limb_of,
+    limbs,
+    with_tips,
+)
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends

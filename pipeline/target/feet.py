@@ -12,9 +12,9 @@ import numpy as np
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
-from .foot_turn import hips_yaw, turned_ahead, uprightness
+from .possible_postures import hips_yaw, turned_ahead, uprightness
 from .resting_foot import flat_height, resting
 from .smooth import smooth
 

@@ -5,7 +5,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array
 
-from .foot_turn import standing_direction
+from .possible_postures import standing_direction
 
 
 def flat_height(body: Body, toe: int) -> float:

@@ -23,8 +23,7 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
-from .possible_knees import possible_knees
-from .possible_trunk import possible_trunk
+from .possible_postures import possible_knees, possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 

@@ -10,7 +10,7 @@ from kinefilter.characters import Motion
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.characters.rotations import rotate, unit, wxyz_from_matrix
-from kinefilter.retarget.stance import smooth_step
+from kinefilter.retarget.limbs import smooth_step
 
 
 @dataclass(frozen=True, eq=False)

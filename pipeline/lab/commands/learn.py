@@ -19,8 +19,7 @@ from kinefilter.pipeline.commands.terminal import (
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.database import PostureDatabase
 from kinefilter.pipeline.formats.plain import counted
-from kinefilter.pipeline.methods import LEARNED, LearnedName
-from kinefilter.pipeline.presets import PresetName
+from kinefilter.pipeline.methods import LEARNED, LearnedName, PresetName
 
 from . import clips_of, in_folders
 
@@ -67,7 +66,7 @@ class Pair:
         from kinefilter.pipeline.lab.marker_sets import read_marker_set
         from kinefilter.pipeline.lab.pairing import pair_session
         from kinefilter.pipeline.lab.simulation import write_pairs
-        from kinefilter.pipeline.lab.studies.output import check_drawing
+        from kinefilter.pipeline.lab.studies.study import check_drawing
 
         if len(self.files) < 2 or len(self.files) % 2:
             raise InputError(
@@ -141,10 +140,10 @@ class Train:
 
     def run(self) -> int:
         """Train the method and write the model."""
+        from kinefilter.pipeline.factory import Model, save_model
         from kinefilter.pipeline.lab.simulation import pairs_with_props, simulated_pairs
         from kinefilter.pipeline.lab.training import teach, training_set
         from kinefilter.pipeline.lab.view_sessions import find_sessions, view_pairs
-        from kinefilter.pipeline.models import Model, save_model
 
         chosen = None if self.preset else self.method
         config = CleanConfig(method=chosen, preset=self.preset, set=self.set)

@@ -281,7 +281,7 @@ class Reproduce:
             raise InputError(f"--seed {self.seed}: must be at least 0")
         names = self.studies if self.all is None else tuple(studies.STUDIES)
         studies.check_names(names)
-        studies.output.check_drawing()
+        studies.study.check_drawing()
         data = studies.recordings_folder(self.data)
         make_folder(folder)
         stamp = studies.fingerprint(data, seed=self.seed, quick=self.quick)
@@ -292,7 +292,7 @@ class Reproduce:
             with progress_bars() as progress:
                 options = studies.Options(self.seed, data, progress)
                 study = studies.reproduce(name, options, quick=self.quick)
-            written = studies.output.write_study(name, study, folder)
+            written = studies.study.write_study(name, study, folder)
             out.print(studies.as_table(study))
             out.print(f"wrote {' and '.join(map(str, written))}\n")
             studies.record_fingerprint(name, folder, stamp)
@@ -302,7 +302,7 @@ class Reproduce:
             out.print(claims.verdicts_table(verdicts))
         if self.all is not None:
             with progress_bars() as progress:
-                pictures = studies.output.make_pictures
+                pictures = studies.study.make_pictures
                 for line in pictures(folder, data=data, progress=progress):
                     out.print(line)
             out.print(f"wrote {claims.write_verdicts(verdicts, folder)}")

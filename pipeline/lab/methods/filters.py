@@ -14,7 +14,7 @@ from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
 from kinefilter.pipeline.correct.interface import measured_only
 from kinefilter.pipeline.merge.lag import interpolate_gaps
 from kinefilter.retarget import BoneLengths
-from kinefilter.retarget.body_size import chain_matrix
+from kinefilter.retarget.standardize import chain_matrix
 
 SENSOR_NOISE, LOST_NOISE = 0.01, 0.3  # m, reliable and lost: deviations, guesses
 ACCELERATION_DENSITY = 2.5  # m^2/s^3: 5 m/s^2 for a tenth of a second

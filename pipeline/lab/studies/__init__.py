@@ -19,18 +19,17 @@ from . import (
     detection,
     liu,
     method_comparison,
-    output,
     shum,
+    study,
     tracker_studies,
     wang,
 )
-from .cleaned_takes import cleaned_takes
-from .held_props import dribbled_ball, held_box
+from .cleaned_takes import cleaned_takes, dribbled_ball, held_box
 from .speed import million_postures, speed
 from .study import Options, Study, as_table
 from .study_takes import recordings_folder
 
-__all__ = ["Options", "Study", "as_table", "claims", "output", "recordings_folder"]
+__all__ = ["Options", "Study", "as_table", "claims", "recordings_folder", "study"]
 
 _FLOORS = ("characters", "retarget", "scenes", "pipeline")
 _SUFFIXES = (".py", ".toml", ".xml", ".npz", ".csv")

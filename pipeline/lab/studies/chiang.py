@@ -12,13 +12,22 @@ from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.lab.evaluate import LEARNED_REPETITIONS, repetition
 from kinefilter.pipeline.lab.systems import CorrectorFactory
 from kinefilter.pipeline.lab.training import observed
+from kinefilter.pipeline.methods import PRESETS
 from kinefilter.pipeline.pairs import PairedTake
-from kinefilter.pipeline.presets import PRESETS
 from kinefilter.pipeline.progress import over
 
 from .study import Options, Panel, Row, Series, Study, series_of
-from .study_takes import clips_of, recorded_people
-from .trial import Group, Trace, errors, mean_cm, recorded, simulated, trace_study
+from .study_takes import (
+    Group,
+    Trace,
+    clips_of,
+    errors,
+    mean_cm,
+    recorded,
+    recorded_people,
+    simulated,
+    trace_study,
+)
 
 _CHIANG_2_3 = {
     ("deep_breathing", "all"): (9078, 10.22, 4.91, 1.46, 0.14, 1.79, 2.46),

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from kinefilter.pipeline.formats import atomic_path
 
-from .output import write_table
+from .study import write_table
 
 _LAST_DIGITS = 1.0  # half for rounding, half for differences between machines
 _WHY = "rounding, and floating-point differences between machines"

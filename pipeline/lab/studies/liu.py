@@ -18,10 +18,18 @@ from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.workers import workers
 
-from .doubtful_limbs import hidden_limb_errors
+from .method_comparison import hidden_limb_errors
 from .study import Options, Panel, Row, Series, Study, series_of
-from .study_takes import first_person, recorded_people
-from .trial import Group, Trace, errors, mean_cm, simulated, trace_study
+from .study_takes import (
+    Group,
+    Trace,
+    errors,
+    first_person,
+    mean_cm,
+    recorded_people,
+    simulated,
+    trace_study,
+)
 
 _NEW, _KNOWN = "new people", "known people"
 _HEADER = ("new_people_cm", "known_people_cm")

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.correct import Observation
-from kinefilter.pipeline.lab.methods.low_rank import LowRank
+from kinefilter.pipeline.lab.methods.baselines import LowRank
 from kinefilter.pipeline.lab.systems import systems_of
 from kinefilter.pipeline.lab.training import observed
 from kinefilter.pipeline.pairs import PairedTake
