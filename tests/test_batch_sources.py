@@ -131,6 +131,15 @@ def test_recordings_claim_to_be_takes_and_what_lies_beside_them_does_not() -> No
         assert claims_take(path) != path.name.startswith(notes), path
 
 
+def test_settings_that_the_system_would_not_find_are_not_ignored(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "a.csv").write_text("a take")
+    (tmp_path / "Kinefilter.toml").write_text("cutoff = 4.0\n")
+    with pytest.raises(InputError, match=r"Kinefilter\.toml: .*call it kinefilter"):
+        find_sources([str(tmp_path)], str(tmp_path / "out"))
+
+
 def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
     with pytest.raises(InputError, match="no-such-thing"):

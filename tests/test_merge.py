@@ -326,7 +326,7 @@ def test_takes_that_do_not_belong_together_are_refused(
     one, other = session(4).takes, session(6).takes
     out = tmp_path / "merged.csv"
     for takes, words in (
-        ([one[0], other[1]], "do not show the same movement"),
+        ([one[0], other[1]], "one by one, or with 'kinefilter batch'"),
         ([one[0], one[0]], "takes are identical"),
         ([one[0]], "only one take is given"),
     ):

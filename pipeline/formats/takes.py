@@ -29,7 +29,7 @@ _JSON_KEYS = {
 }
 """Keys of which takes in JSON have at least one near the beginning."""
 _NPY, _C3D = "NUMPY", "\x02P"  # beginnings of files, decoded without other bytes
-_CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # beginnings of files
+_CLIPS = (b"glTF", b"PXR-USDC", b"#usda", b"PK\x03\x04")  # beginnings of files
 _BEGINNING = 2**16  # characters: ten times the length of a bone list
 
 

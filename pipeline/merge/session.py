@@ -27,7 +27,7 @@ from .person import find_person
 from .rigid import Placement
 
 _NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
-_KIND = "kinefilter calibration"
+CALIBRATION = "kinefilter calibration"
 _UNREADABLE = (OSError, InputError, LookupError, TypeError, ValueError, RecursionError)
 _SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
 _MAX_DISTANCE = 100.0  # m from one sensor to another
@@ -203,7 +203,9 @@ def write_calibration(merged: Merged, path: Path) -> None:
             }
         )
     with new_text(path) as file:
-        file.write(json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n")
+        file.write(
+            json.dumps({"file": CALIBRATION, "sensors": sensors}, indent=2) + "\n"
+        )
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
@@ -213,8 +215,8 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
     check_file(path)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        if found["file"] != _KIND:
-            raise ValueError(f"not a {_KIND}")
+        if found["file"] != CALIBRATION:
+            raise ValueError(f"not a {CALIBRATION}")
         alignments = []
         for sensor in found["sensors"][1:]:
             turn, shift, lag = (
