@@ -100,7 +100,9 @@ def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
     ("text", "claims"),
     [
         ("time,SpineBase.x,SpineBase.y\n", True),
+        ("TIME,SPINEBASE_X,SPINEBASE_Y\n", True),
         ("time,HeelLeft,ToeLeft\n", False),
+        ("time,Spineless\n", False),
         ("HipCenter; Spine; Head\n", True),
         ("take;label\n", False),
         ("1 2 3 4\n", True),

@@ -20,7 +20,7 @@ from .sheets import header_cells
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
 _DESCRIBED = ("kinefilter", "kinect-v2", "kinect-v1")  # in the error message
-_JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
+_JOINTS = re.compile(r"\b(HipCenter|Spine(Base)?)(?![a-z])", re.IGNORECASE)
 """Joints of which every take's header has at least one."""
 _JSON_KEYS = {
     "openpose": ('"people"', '"pose_keypoints_3d"'),
