@@ -21,7 +21,13 @@ from .database import PostureDatabase
 from .edits import LIMBS, read_edits
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
-from .formats.files import LARGEST_TOML, beginning, check_file, read_limited
+from .formats.files import (
+    CALIBRATION,
+    LARGEST_TOML,
+    beginning,
+    check_file,
+    read_limited,
+)
 from .formats.glb_reader import read_glb, read_glb_times
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
@@ -30,7 +36,6 @@ from .formats.plain import counted
 from .formats.recording import Mocap
 from .formats.rig import own_skeleton
 from .formats.sheets import claims_contacts, contact_table
-from .merge.session import CALIBRATION, read_calibration
 from .models import load_model
 from .pairs import read_pairs
 from .settings import read_settings
@@ -210,6 +215,8 @@ def _of_manifest(path: Path) -> dict[str, Any]:
 
 
 def _of_calibration(path: Path) -> dict[str, Any]:
+    from .merge import read_calibration
+
     places = [found.placed for found in read_calibration(path)]
     angles = [np.degrees(place.turn.magnitude()) for place in places]
     sensors = json.loads(path.read_text(encoding="utf-8"))["sensors"]

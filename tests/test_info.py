@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -91,16 +92,21 @@ def test_settings_and_the_manifests_of_a_batch_are_told(
 
 
 def test_several_files_are_told_and_one_that_is_refused_stops_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    paths = [str(tmp_path / name) for name in ("a.csv", "none.csv", "b.csv")]
-    for path in paths[::2]:
+    names = ("a.csv", "locked.csv", "none.csv", "b.csv")
+    paths = [str(tmp_path / name) for name in names]
+    for path in (paths[0], paths[1], paths[3]):
         write_take_csv(walk(), path)
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path).name != "locked.csv")
     assert main(["info", *paths]) == 1
     printed = capsys.readouterr()
-    assert [f"{path}: take" in printed.out for path in paths] == [True, False, True]
-    assert printed.err.count("\n") == 1
+    assert [path for path in paths if f"{path}: take" in printed.out] == paths[::3]
+    assert printed.err.count("\n") == 2
     assert "none.csv: there is no such file" in printed.err
+    assert "locked.csv: cannot be read; check permissions" in printed.err
     assert main(["info"]) == 2
 
 

@@ -31,6 +31,7 @@ _Stream = io.BufferedReader | gzip.GzipFile
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV, longer than any recording
+CALIBRATION = "kinefilter calibration"  # what a file of sensor alignments is
 LARGEST_TOML = 2**16  # bytes of a handwritten file
 _LARGEST_RATIO = 100
 """Compression ratio of gzipped text above which, beyond ``_ANY_RATIO`` bytes, it is not
@@ -199,6 +200,8 @@ def check_file(path: AnyPath) -> Path:
         elif path.parent.is_dir() and not os.access(path.parent, os.R_OK | os.X_OK):
             wrong = "its folder cannot be searched; check permissions"
         raise InputError(f"{path}: {wrong}")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: cannot be read; check permissions")
     return path
 
 

@@ -15,7 +15,7 @@ from kinefilter.characters import InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.failures.trunk import steadied
-from kinefilter.pipeline.formats.files import check_file, new_text
+from kinefilter.pipeline.formats.files import CALIBRATION, check_file, new_text
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
@@ -27,7 +27,6 @@ from .person import find_person
 from .rigid import Placement
 
 _NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
-CALIBRATION = "kinefilter calibration"
 _UNREADABLE = (OSError, InputError, LookupError, TypeError, ValueError, RecursionError)
 _SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
 _MAX_DISTANCE = 100.0  # m from one sensor to another
