@@ -337,7 +337,7 @@ def test_a_calibration_of_sensors_that_were_moved_fails_only_their_session(
     made = _made(clean_folder(takes, tmp_path / "clips", settings))
     assert made["walk"].status == "done"
     assert "30 degrees" in made["moved"].error
-    assert "leave --calibration out" in made["moved"].error
+    assert "give that, or leave --calibration out" in made["moved"].error
 
 
 @pytest.mark.usefixtures("here")

@@ -263,7 +263,8 @@ def _all(stream: _Stream, path: AnyPath, most: int) -> bytes:
 
 
 def _too_long(path: AnyPath, most: int) -> InputError:
-    return InputError(f"{path}: larger than {most / 1e6:.3g} MB; split it")
+    wrong = f"larger than the {most / 1e6:.3g} MB that such a file may have"
+    return InputError(f"{path}: {wrong}; split it, or give another")
 
 
 @contextmanager
