@@ -42,6 +42,7 @@ from kinefilter.pipeline.formats import (
     read_take,
     write_clip,
 )
+from kinefilter.pipeline.formats.files import check_file
 
 MakeClip = Callable[..., Clip]
 EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".glb", ".bvh", ".csv", ".npz"]
@@ -284,6 +285,8 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 def test_a_url_is_not_a_folder_to_create() -> None:
     with pytest.raises(InputError, match="only batch takes URLs"):
         check_folder("s3://bucket/clip.bvh")
+    with pytest.raises(InputError, match="only batch takes URLs"):
+        check_file("s3://bucket/take.csv")
 
 
 def test_a_folder_without_rights_is_called_so(

@@ -46,6 +46,7 @@ _UNUSABLE = re.compile(
 )
 """Names that Windows reserves for devices, changes, or refuses."""
 _FILE_URL = re.compile(r"((?:--[\w-]+=)?)file://(?:localhost)?(/.*)", re.DOTALL)
+_NO_URLS = "only batch takes URLs; give a local path"
 _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 _DAMAGE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
@@ -63,8 +64,8 @@ def check_folder(path: AnyPath) -> Path:
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
-    if path.parts[:1] and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]):
-        raise InputError(f"{path}: only batch takes URLs; give a local path")
+    if _is_url(path):
+        raise InputError(f"{path}: {_NO_URLS}")
     folder = next((p for p in path.parents if p.exists()), path.parent)
     if not folder.is_dir():
         wrong = "is a file; choose a folder" if folder.exists() else "does not exist"
@@ -77,6 +78,10 @@ def check_folder(path: AnyPath) -> Path:
     except OSError as error:
         reason = f"cannot be written ({error.strerror})"
         raise InputError(f"{path}: {reason}; write elsewhere") from error
+
+
+def _is_url(path: Path) -> bool:
+    return bool(path.parts and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]))
 
 
 def make_folder(path: Path) -> None:
@@ -193,7 +198,9 @@ def check_file(path: AnyPath) -> Path:
         raise InputError(f"{path}: is a folder; give the name of a file")
     if not path.is_file():
         wrong = "there is no such file; check the name"
-        if path.exists():  # opening it might wait forever
+        if _is_url(path):
+            wrong = _NO_URLS
+        elif path.exists():  # opening it might wait forever
             wrong = "is a pipe, a socket or a device; give a file"
         elif path.is_symlink():
             wrong = "is a link to a missing file; restore that file or remove the link"

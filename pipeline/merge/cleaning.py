@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kinefilter.characters import Body, Origin, Take
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, check_kind
 from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
@@ -48,6 +48,7 @@ def clean_session(
     corrections to the merged take, by default those that the config names.
     """
     config = CleanConfig() if config is None else config
+    check_kind(config, CleanConfig, "the config")
     if edits is None:
         edits = read_edits(config.edits) if config.edits else ()
     config = replace(config, edits=None)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import InputError, Skeleton, Take
-from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers
+from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers, check_kind
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.failures.trunk import steadied
 from kinefilter.pipeline.formats.files import CALIBRATION, check_file, new_text
@@ -111,6 +111,9 @@ def merge(
     Raises:
         InputError: Fewer than two takes, or takes that do not belong together.
     """
+    check_kind(takes, list | tuple, "the takes")
+    for one in takes:
+        check_kind(one, Take | Recording, "a take")
     recordings = [
         one if isinstance(one, Recording) else Recording((one,)) for one in takes
     ]
