@@ -38,7 +38,7 @@ from .formats.rig import own_skeleton
 from .formats.sheets import claims_contacts, contact_table
 from .models import load_model
 from .pairs import read_pairs
-from .settings import read_settings
+from .settings import Settings, as_table, overlaid, read_settings
 
 _GAP = 1.5  # nominal steps; longer ones contain frames that never arrived
 _PARTS = {
@@ -101,14 +101,9 @@ def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
     people, times, root = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
-    vrma = os.fspath(path).lower().endswith(".vrma")
+    form = "vrma" if os.fspath(path).lower().endswith(".vrma") else "glb"
     many = {"people": len(people)} if len(people) > 1 else {}
-    known = {
-        "kind": "clip",
-        "format": "vrma" if vrma else "glb",
-        **many,
-        "joints": len(people[0]),
-    }
+    known = {"kind": "clip", "format": form, **many, "joints": len(people[0])}
     moves = {} if root is None else {"in_place": root != "travel"}
     return known | _timing(times) | moves
 
@@ -196,22 +191,20 @@ def _of_toml(path: Path) -> dict[str, Any]:
     if named or "[[" in read_limited(path, LARGEST_TOML):
         edits = [edit.summary for edit in read_edits(path)]
         return {"kind": "edits", "format": "toml", "edits": len(edits), "notes": edits}
-    return {"kind": "settings", "format": "toml", **read_settings(path).values}
+    options = as_table(overlaid(Settings(), read_settings(path)))
+    return {"kind": "settings", "format": "toml", "options": options}
 
 
 def _of_manifest(path: Path) -> dict[str, Any]:
     from .batch.manifest import parse_rows
 
-    contents: dict[str, Any] = {"kind": "manifest of a batch", "format": "csv"}
-    if not beginning(path).startswith("take,"):
-        rows = parse_rows(path.read_bytes(), str(path))[0]
-        last = {row.take: row.status for row in rows}
-        contents |= {"format": "json lines", "takes": len(last)}
-        contents |= Counter(last.values())
-    read = "'kinefilter batch' resumes from manifest.jsonl; manifest.csv is for reading"
-    return contents | {
-        "notes": [f"{read}; 'kinefilter view {path.parent}' lists the clips"]
-    }
+    note = "'kinefilter batch' resumes from manifest.jsonl; manifest.csv is for reading"
+    known: dict[str, Any] = {"kind": "manifest of a batch", "notes": [note]}
+    if beginning(path).startswith("take,"):
+        return known | {"format": "csv"}
+    rows = parse_rows(path.read_bytes(), str(path))[0]
+    last = {row.take: row.status for row in rows}
+    return known | {"format": "json lines", "takes": len(last)} | Counter(last.values())
 
 
 def _of_calibration(path: Path) -> dict[str, Any]:

@@ -77,9 +77,10 @@ def test_edits_and_calibrations_are_told(
 def test_settings_and_the_manifests_of_a_batch_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    settings = write_text(tmp_path / "kinefilter.toml", "cutoff = 4.5\n")
-    contents = told(settings, capsys)
-    assert (contents["kind"], contents["cutoff"]) == ("settings", 4.5)
+    text = 'format = "ntu"\nmodel = "a.npz"\n'
+    contents = told(write_text(tmp_path / "kinefilter.toml", text), capsys)
+    options = {"format": "ntu", "model": str(tmp_path / "a.npz")}
+    assert (contents["kind"], contents["options"]) == ("settings", options)
     rows = [Row("a.csv", "failed", "a.bvh", ""), Row("b.csv", "done", "b.bvh", "")]
     rows.append(replace(rows[0], status="done"))
     lines = "".join(row.as_json() + "\n" for row in rows)

@@ -205,9 +205,8 @@ def write_calibration(merged: Merged, path: Path) -> None:
             }
         )
     with new_text(path) as file:
-        file.write(
-            json.dumps({"file": CALIBRATION, "sensors": sensors}, indent=2) + "\n"
-        )
+        calibration = {"file": CALIBRATION, "sensors": sensors}
+        file.write(json.dumps(calibration, indent=2) + "\n")
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
