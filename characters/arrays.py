@@ -3,7 +3,7 @@
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import fields
 from types import UnionType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +52,10 @@ def shown(value: object) -> str:
 def check_kind(value: object, kind: type | UnionType, what: str) -> None:
     """Raise an InputError if a value is not an instance of a class."""
     if not isinstance(value, kind):
-        wanted = getattr(kind, "__name__", str(kind).rpartition(".")[2])
-        raise InputError(f"{what} must be a {wanted}, got {shown(value)}")
+        kinds = [one.__name__ for one in get_args(kind) or (kind,)]
+        wanted = " or ".join(name for name in kinds if name != "NoneType")
+        article = "an" if wanted[0] in "AEIOU" else "a"
+        raise InputError(f"{what} must be {article} {wanted}, got {shown(value)}")
 
 
 def check_choice(value: object, known: Iterable[str], what: str) -> None:

@@ -74,7 +74,8 @@ class Avatar:
     ) -> None:
         self.body, self.measured = body, measured or body
         self.shared = scene if isinstance(scene, SharedScene) else None
-        room = None if scene is self.shared else str(scene)
+        room = None if isinstance(scene, SharedScene) else scene
+        room = str(room) if isinstance(room, Path) else room
         config = CleanConfig(scene=room, floor="auto" if floor is None else floor)
         if isinstance(tracking, str):
             config, tracking = replace(config, tracking=tracking), None

@@ -22,7 +22,13 @@ from .edits import LIMBS, read_edits
 from .factory import load_model
 from .failures import Failure, find_failures
 from .formats import Recording, read_recording
-from .formats.files import beginning, check_file
+from .formats.files import (
+    CALIBRATION,
+    LARGEST_TOML,
+    beginning,
+    check_file,
+    read_limited,
+)
 from .formats.glb_reader import read_glb, read_glb_times
 from .formats.guarded import read_usd
 from .formats.mocap import RIGS, kinect_motion, read_mocap
@@ -32,6 +38,7 @@ from .formats.recording import Mocap
 from .formats.rig import own_skeleton
 from .formats.sheets import claims_contacts, contact_table
 from .pairs import read_pairs
+from .settings import Settings, as_table, overlaid, read_settings
 
 _GAP = 1.5  # nominal steps; longer ones contain frames that never arrived
 _PARTS = {
@@ -40,7 +47,6 @@ _PARTS = {
     for side in SIDES
 }
 _USD = (b"#usda", b"PXR-USDC")
-_CALIBRATION = "kinefilter calibration"  # as merge/session.py writes it
 _IN_PLACE = 1e-5  # m over the floor: no one stands so still
 _LISTED = 30  # joint names listed on a terminal
 _SHOWN_APART = {"file", "kind", "format", "bodies", "notes", "body", "most_seen"}
@@ -80,12 +86,12 @@ def contents_of(
         contents = _of_mocap(read_mocap(file))
     elif claims_contacts(file):
         contents = _of_contacts(file)
-    elif _CALIBRATION in beginning(file):
+    elif CALIBRATION in beginning(file):
         contents = _of_calibration(file)
+    elif beginning(file).startswith(('{"take": ', "take,status,")):
+        contents = _of_manifest(file)
     elif file.suffix.lower() == ".toml":
-        edits = [edit.summary for edit in read_edits(file)]
-        contents = {"kind": "edits", "format": "toml", "edits": len(edits)}
-        contents["notes"] = edits
+        contents = _of_toml(file)
     else:
         contents = _of_recording(read_recording(path))
     return {"file": name} | contents
@@ -95,8 +101,9 @@ def _of_glb(path: str | os.PathLike[str]) -> dict[str, Any]:
     people, times, root = read_glb_times(path)
     if len(people) == 1 and own_skeleton(people[0]) is not None:
         return {"format": "glb"} | _of_clip(read_glb(path))
+    form = "vrma" if os.fspath(path).lower().endswith(".vrma") else "glb"
     many = {"people": len(people)} if len(people) > 1 else {}
-    known = {"kind": "clip", "format": "glb", **many, "joints": len(people[0])}
+    known = {"kind": "clip", "format": form, **many, "joints": len(people[0])}
     moves = {} if root is None else {"in_place": root != "travel"}
     return known | _timing(times) | moves
 
@@ -177,6 +184,27 @@ def _of_contacts(path: Path) -> dict[str, Any]:
         "seconds": float(time[-1] - time[0]),
         "share_of_rows_on_the_floor": dict(zip(CONTACTS, shares, strict=True)),
     }
+
+
+def _of_toml(path: Path) -> dict[str, Any]:
+    named = path.name.lower().endswith(".edits.toml")
+    if named or "[[" in read_limited(path, LARGEST_TOML):
+        edits = [edit.summary for edit in read_edits(path)]
+        return {"kind": "edits", "format": "toml", "edits": len(edits), "notes": edits}
+    options = as_table(overlaid(Settings(), read_settings(path)))
+    return {"kind": "settings", "format": "toml", "options": options}
+
+
+def _of_manifest(path: Path) -> dict[str, Any]:
+    from .batch.manifest import parse_rows
+
+    note = "'kinefilter batch' resumes from manifest.jsonl; manifest.csv is for reading"
+    known: dict[str, Any] = {"kind": "manifest of a batch", "notes": [note]}
+    if beginning(path).startswith("take,"):
+        return known | {"format": "csv"}
+    rows = parse_rows(path.read_bytes(), str(path))[0]
+    last = {row.take: row.status for row in rows}
+    return known | {"format": "json lines", "takes": len(last)} | Counter(last.values())
 
 
 def _of_calibration(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from kinefilter.retarget import BoneLengths, Standardizer
 
 from .config import CleanConfig
 from .correct import Correction, Corrector, Hold, Observation
+from .correct.interface import checked
 from .draft import Draft
 from .factory import make_corrector
 from .failures import (
@@ -270,6 +271,8 @@ class Correct(Stage):
         """Correct the next frame."""
         observation = self._observation(draft, self._usual.step)
         found = self._corrector.step(observation)
+        if self._given is not None:  # kinefilter's own need no check
+            found = checked(found, self._given, observation, finite=True)
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         self._record(draft, found)
         if found.rotations is not None:
@@ -282,9 +285,11 @@ class Correct(Stage):
         observation = self._observation(draft, usual)
         method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
         found = method.whole(observation, steps)
+        if self._given is not None:
+            found = checked(found, method, observation)
         del draft.standard, observation
         positions = found.positions
-        if np.isnan(positions).any():
+        if not np.isfinite(positions).all():
             positions = Hold(draft.skeleton).fill(positions)
         draft.positions = Standardizer(draft.body).undo(positions, draft.heading)
         self._record(draft, found)

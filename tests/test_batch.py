@@ -323,7 +323,7 @@ def test_one_take_is_not_told_as_several(capsys: pytest.CaptureFixture[str]) -> 
     for rows in (one, one * 2):
         Console(width=200).print(as_tables(Outcome(rows=rows, seconds=1.0)))
     first, second = capsys.readouterr().out.splitlines()
-    assert first.startswith("1 take cleaned, 0 failed, 1 other file skipped, 0 frames")
+    assert first.startswith("1 take cleaned, 0 failed, 1 other file skipped (b), ")
     assert second.startswith("2 takes cleaned, 0 failed, 2 other files skipped")
 
 

@@ -100,7 +100,9 @@ def test_the_output_folder_is_not_searched(takes: Path, tmp_path: Path) -> None:
     ("text", "claims"),
     [
         ("time,SpineBase.x,SpineBase.y\n", True),
+        ("TIME,SPINEBASE_X,SPINEBASE_Y\n", True),
         ("time,HeelLeft,ToeLeft\n", False),
+        ("time,Spineless\n", False),
         ("HipCenter; Spine; Head\n", True),
         ("take;label\n", False),
         ("1 2 3 4\n", True),
@@ -129,6 +131,15 @@ def test_recordings_claim_to_be_takes_and_what_lies_beside_them_does_not() -> No
     assert len(texts) > 50
     for path in texts:
         assert claims_take(path) != path.name.startswith(notes), path
+
+
+def test_settings_that_the_system_would_not_find_are_not_ignored(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "a.csv").write_text("a take")
+    (tmp_path / "Kinefilter.toml").write_text("cutoff = 4.0\n")
+    with pytest.raises(InputError, match=r"Kinefilter\.toml: .*call it kinefilter"):
+        find_sources([str(tmp_path)], str(tmp_path / "out"))
 
 
 def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:

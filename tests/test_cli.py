@@ -370,7 +370,7 @@ def test_output_that_nobody_reads_ends_a_command_quietly(
 ) -> None:
     read, written = os.pipe()
     os.close(read)
-    command = [sys.executable, *flags, "-m", "kinefilter.pipeline.cli", *words]
+    command = [sys.executable, *flags, "-m", "kinefilter", *words]
     done = subprocess.run(
         command, stdout=written, stderr=subprocess.PIPE, text=True, check=False
     )

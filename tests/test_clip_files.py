@@ -179,7 +179,9 @@ def test_a_damaged_usd_clip_is_refused(make_clip: MakeClip, tmp_path: Path) -> N
 def test_what_is_no_clip_is_refused(tmp_path: Path) -> None:
     for name, words in (
         ("none.usda", "no such file"),
-        ("clip.fbx", r"unknown extension for a clip; known: \.usda"),
+        ("clip.fbx", r"VRMA and FBX .* cannot be read back; give \.usda"),
+        ("clip.VRMA", "cannot be read back"),
+        ("clip.foo", r"unknown extension for a clip; give \.usda"),
         ("clip.usda", "cannot be read as USD"),
     ):
         if not name.startswith("none"):

@@ -42,6 +42,7 @@ from kinefilter.pipeline.formats import (
     read_take,
     write_clip,
 )
+from kinefilter.pipeline.formats.files import check_file
 
 MakeClip = Callable[..., Clip]
 EXTENSIONS = [".usda", ".usdc", ".usd", ".usdz", ".glb", ".bvh", ".csv", ".npz"]
@@ -284,6 +285,8 @@ def test_an_impossible_target_is_refused_early_and_late_alike(
 def test_a_url_is_not_a_folder_to_create() -> None:
     with pytest.raises(InputError, match="only batch takes URLs"):
         check_folder("s3://bucket/clip.bvh")
+    with pytest.raises(InputError, match="only batch takes URLs"):
+        check_file("s3://bucket/take.csv")
 
 
 def test_a_folder_without_rights_is_called_so(
@@ -324,8 +327,9 @@ def test_npz_that_holds_no_clip_is_refused(make_clip: MakeClip, tmp_path: Path) 
 
 def test_importing_the_pipeline_loads_nothing_heavy() -> None:
     code = (
-        "import sys, kinefilter.pipeline\n"
-        "heavy = ('pxr', 'OpenGL', 'matplotlib', 'plotly', 'av', 'viser', 'dask')\n"
+        "import sys, kinefilter.pipeline.contents\n"
+        "heavy = ('pxr', 'OpenGL', 'matplotlib', 'plotly', 'av', 'viser', 'dask', "
+        "'mujoco')\n"
         "print([m for m in heavy if m in sys.modules])"
     )
     done = subprocess.run(

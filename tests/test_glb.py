@@ -275,7 +275,7 @@ def test_info_says_what_is_in_those_of_rigs(
     clip = make_clip(4, KINECT_V2)
     write_clip(clip, tmp_path / "clip.vrma")
     found = contents_of(tmp_path / "clip.vrma")
-    assert (found["format"], found["joints"], found["frames"]) == ("glb", 22, 4)
+    assert (found["format"], found["joints"], found["frames"]) == ("vrma", 22, 4)
 
 
 def test_others_are_refused_by_name(make_clip: MakeClip, tmp_path: Path) -> None:

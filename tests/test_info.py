@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from scipy.spatial.transform import Rotation
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, State, Take
+from kinefilter.pipeline.batch.manifest import Row, write_csv
+from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.contents import contents_of, contents_of_take
 from kinefilter.pipeline.database import PostureDatabase
@@ -69,6 +72,43 @@ def test_edits_and_calibrations_are_told(
     contents = told(calibration, capsys)
     assert contents["sensors"] == ["A.csv", "B.csv"]
     assert (contents["turned_degrees"], contents["away_m"]) == ([90.0], [5.0])
+
+
+def test_settings_and_the_manifests_of_a_batch_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = 'format = "ntu"\nmodel = "a.npz"\n'
+    contents = told(write_text(tmp_path / "kinefilter.toml", text), capsys)
+    options = {"format": "ntu", "model": str(tmp_path / "a.npz")}
+    assert (contents["kind"], contents["options"]) == ("settings", options)
+    rows = [Row("a.csv", "failed", "a.bvh", ""), Row("b.csv", "done", "b.bvh", "")]
+    rows.append(replace(rows[0], status="done"))
+    lines = "".join(row.as_json() + "\n" for row in rows)
+    contents = told(write_text(tmp_path / "manifest.jsonl", lines), capsys)
+    assert (contents["kind"], contents["takes"]) == ("manifest of a batch", 2)
+    assert contents["done"] == 2
+    write_csv(rows, store_at(str(tmp_path)))
+    contents = told(tmp_path / "manifest.csv", capsys)
+    assert (contents["kind"], contents["format"]) == ("manifest of a batch", "csv")
+
+
+def test_several_files_are_told_and_one_that_is_refused_stops_none(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = ("a.csv", "locked.csv", "none.csv", "b.csv")
+    paths = [str(tmp_path / name) for name in names]
+    for path in (paths[0], paths[1], paths[3]):
+        write_take_csv(walk(), path)
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path).name != "locked.csv")
+    assert main(["info", *paths]) == 1
+    printed = capsys.readouterr()
+    assert [path for path in paths if f"{path}: take" in printed.out] == paths[::3]
+    assert printed.err.count("\n") == 2
+    assert "none.csv: there is no such file" in printed.err
+    assert "locked.csv: cannot be read; check permissions" in printed.err
+    assert main(["info"]) == 2
 
 
 def walk() -> Take:

@@ -140,6 +140,16 @@ def test_joints_of_another_skeleton_are_told(joints: object, note: str) -> None:
     assert caught.value.note == note
 
 
+def test_what_a_command_has_is_told() -> None:
+    for message, note in (
+        ({"push": {"part": "Head"}}, "a push has body, joint, force, seconds"),
+        ({"throw": {"position": [0, 0, 1e9], "velocity": [0, 0, 0]}}, "up to 100"),
+    ):
+        with pytest.raises(MalformedError) as caught:
+            parse_message(json.dumps(message), KINECT_V1)
+        assert note in caught.value.note
+
+
 def test_no_hostile_message_is_taken_for_a_frame_and_none_raises_anything_else() -> (
     None
 ):

@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from real_data import DATA
 from scipy.spatial.transform import Rotation
 
-from kinefilter import merge, read_clip, read_take
-from kinefilter.characters import KINECT_V2, State, Take
+from kinefilter import clean_session, merge, read_clip, read_take
+from kinefilter.characters import KINECT_V2, InputError, State, Take
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.lab.simulation import simulate_session
@@ -326,7 +326,7 @@ def test_takes_that_do_not_belong_together_are_refused(
     one, other = session(4).takes, session(6).takes
     out = tmp_path / "merged.csv"
     for takes, words in (
-        ([one[0], other[1]], "do not show the same movement"),
+        ([one[0], other[1]], "one by one, or with 'kinefilter batch'"),
         ([one[0], one[0]], "takes are identical"),
         ([one[0]], "only one take is given"),
     ):
@@ -337,6 +337,17 @@ def test_takes_that_do_not_belong_together_are_refused(
     none = ["--calibration", str(tmp_path / "none.json")]
     assert main(["merge", *paths, "-o", str(out), *none]) == 2
     assert "none.json: there is no such file" in capsys.readouterr().err
+
+
+def test_what_is_no_list_of_takes_is_refused() -> None:
+    (take, *_) = session(4).takes
+    merged: tuple[Any, ...] = (merge, clean_session)
+    for function in merged:
+        for takes in (take, "a.csv", ["a.csv", "b.csv"], None):
+            with pytest.raises(InputError, match=r"takes? must be a (list or tu|Take)"):
+                function(takes)
+    with pytest.raises(InputError, match="the config must be a CleanConfig, got"):
+        merged[1]([take, take], {})
 
 
 _FAR_AWAY = """{"file": "kinefilter calibration", "sensors": [{"source": "a"},

@@ -223,7 +223,7 @@ def test_what_is_seen_in_one_frame_is_nobody(tmp_path: Path) -> None:
 def test_a_body_that_is_not_there_is_refused(tmp_path: Path) -> None:
     path = write_text(tmp_path / "a", ntu_text([made_up()]))
     for body in (0, 2):
-        with pytest.raises(InputError, match=f"no body {body}.*info"):
+        with pytest.raises(InputError, match=f"no body {body}, only body 1.*info"):
             read_take(path, body=body)
     path = write_text(tmp_path / "b", ntu_text([made_up(6), made_up(6, seed=3)]))
     with pytest.raises(InputError, match=rf"^{path}: has no body 3, expected 1 to 2"):

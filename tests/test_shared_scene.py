@@ -168,6 +168,8 @@ def test_readers_get_props_and_contacts_and_send_pushes_and_things() -> None:
                 while run.tally.malformed.total() < 4:
                     await asyncio.sleep(0)
                 assert run.tally.malformed == {Reason.UNKNOWN: 3, Reason.COMMAND: 1}
+                (note,) = run.tally.notes[Reason.UNKNOWN]  # the first one's
+                assert note == f"a push names '3', '{push['joint']}'"
                 ball = {"position": [0, 1, 2], "velocity": [0, 0, -10]}
                 sender.send(json.dumps({"throw": ball}).encode())
                 await poses(10)
@@ -193,5 +195,6 @@ def test_without_a_scene_people_are_alone_and_can_be_pushed() -> None:
                     await asyncio.sleep(0)
                 assert run.tally.events[Event.OBEYED] == 1
                 assert run.tally.malformed == {Reason.UNKNOWN: 1}
+                assert "need --scene" in run.tally.notes[Reason.UNKNOWN][0]
 
     do(session())

@@ -44,6 +44,17 @@ def test_a_box_hides_what_is_behind_it() -> None:
     assert (boxed.take.state == 2).mean() < (bare.take.state == 2).mean()
 
 
+def test_pairs_alone_are_written_but_not_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pairs = tmp_path / "pairs.npz"
+    assert main(["simulate", "basic", "--motion", "wave", "--pairs", str(pairs)]) == 0
+    assert f"wrote {pairs}: " in capsys.readouterr().out
+    assert len(read_pairs(pairs)) == 1
+    assert main(["simulate", "basic"]) == 2
+    assert "-o, or --pairs" in capsys.readouterr().err
+
+
 def test_files_read_back_and_the_same_seed_gives_the_same_bytes(
     tmp_path: Path,
 ) -> None:

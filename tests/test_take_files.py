@@ -204,7 +204,7 @@ def cell(row: int, old: str, new: str) -> tuple[str, ...]:
         ((HEADER, *["0,0,1600,2,2,40,80,2\n"] * 3), ["millimeters", "1000"]),
         (
             ("time,Tail.x,Tail.y,Tail.z\n", "0,1,2,3\n"),
-            ["row 1", "'Tail'", "HipCenter"],
+            ["row 1", "'Tail'", "HipCenter", "such as Head.x"],
         ),
         (("time,Head.x,Head.y,Head.z,Head.w\n",), ["'Head.w'", "unknown"]),
         (("time,Head.x,Head.z\n",), ["no column Head.y"]),

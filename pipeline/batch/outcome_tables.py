@@ -13,6 +13,7 @@ from .run import Outcome
 _FIGURES = ("force", "outside", "slide", "jitter", "failures")
 _MAX_WORST = 5
 _MAX_FAILED = 20  # the manifest has all
+_MAX_OTHERS = 3
 
 
 def as_tables(outcome: Outcome) -> RenderableType:
@@ -71,7 +72,8 @@ def _counts(outcome: Outcome) -> str:
     rows = [*outcome.kept, *outcome.rows]
     done = sum(row.status == "done" for row in outcome.rows)
     kept = sum(row.status == "done" for row in outcome.kept)
-    others = sum(row.status == "no take" for row in rows)
+    others = sorted(row.take for row in rows if row.status == "no take")
+    names = ", ".join([*others[:_MAX_OTHERS], *["..."] * (len(others) > _MAX_OTHERS)])
     sensors = [len(row.sensors) for row in rows if row.status == "done"]
     sessions, alone = sum(n > 1 for n in sensors), sensors.count(1)
     damaged, earlier = len(outcome.damaged), outcome.earlier
@@ -82,10 +84,10 @@ def _counts(outcome: Outcome) -> str:
         (kept, f"{kept} already done"),
         (earlier, f"{earlier} of an earlier run only (see manifest.csv)"),
         (damaged, f"{damaged} with damage (see manifest.csv)"),
-        (others, f"{counted(others, 'other file')} skipped"),
+        (others, f"{counted(len(others), 'other file')} skipped ({names})"),
     )
     words = [text for count, text in counts if count]
-    if outcome.rows:
+    if done:
         frames = sum(clip.frames for row in outcome.rows for clip in row.clips)
         seconds = max(outcome.seconds, 1e-9)
         words.append(

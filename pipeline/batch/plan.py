@@ -83,11 +83,17 @@ def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
     if root == canonical(out):
         hint = "write into another folder, for example inside it"
         raise InputError(f"{out}: is also searched for takes; {hint}")
+    files = [*store.files()]
+    for name in (file.name for file in files):
+        last = name.rpartition("/")[2]
+        if last.lower() == FOLDER_FILE != last:
+            wrong = "is not read, as its name is not all lower case"
+            raise InputError(f"{store.path(name)}: {wrong}; call it {FOLDER_FILE}")
     # Output inside the searched folder is skipped.
     written = f"{canonical(out)}/".removeprefix(f"{root}/")
     return [
         Source(prefix + file.name, store, f"{root}/{file.name}", file, named=False)
-        for file in store.files()
+        for file in files
         if file.name.lower().removesuffix(".gz").endswith((*_TAKES, "/*"))
         and not file.name.startswith(written)
     ]

@@ -58,7 +58,8 @@ def find_sessions(sources: Sequence[Source], each: Sequence[Settings]) -> list[S
     """Group files into sessions by the pattern in the settings of ``each``.
 
     A take without a partner, or whose name does not match, is a session of its own.
-    Raises InputError if a pattern matches no file, or sensors are given without one.
+    Raises InputError if a pattern matches no file, or sensors or a calibration are
+    given without one.
     """
     alone, unmatched = list[Session](), dict[str, str]()
     groups: dict[tuple[str, str, str], list[Session]] = {}
@@ -85,6 +86,9 @@ def find_sessions(sources: Sequence[Source], each: Sequence[Settings]) -> list[S
         if settings.sensors and not used:
             names = " ".join(settings.sensors)
             raise InputError(f"--sensors {names}: requires --sessions")
+        if settings.calibration and not used:
+            file = settings.calibration
+            raise InputError(f"--calibration {file}: requires --sessions")
     return alone + [_joined(*key[1:], takes) for key, takes in groups.items()]
 
 

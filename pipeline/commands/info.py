@@ -8,35 +8,44 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, standard_body
+from kinefilter.characters import SKELETONS, STANDARD_HEIGHT, InputError, standard_body
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats.files import new_text
-from kinefilter.pipeline.formats.plain import finite
+from kinefilter.pipeline.formats.plain import finite, printable
 
-from .terminal import Skeletons, check_output, out
+from .terminal import Skeletons, check_output, err, out
 
 
 @dataclass(frozen=True)
 class Info:
     """Describe a take, a clip, or any other file that kinefilter reads."""
 
-    file: Positional[Path]
-    """The file."""
+    file: Positional[tuple[Path, ...]]
+    """The file, or several."""
     format: TakeFormat | None = None
     """Format of a take; default: detected from its content."""
     json: bool = False
-    """Print JSON."""
+    """Print JSON, one document per file."""
 
     def run(self) -> int:
         """Read the file and print a description."""
         from kinefilter.pipeline.contents import as_tables, contents_of
 
-        contents = contents_of(self.file, format=self.format)
-        if self.json:
-            sys.stdout.write(json.dumps(finite(contents), indent=2) + "\n")
-        else:
-            out.print(as_tables(contents))
-        return 0
+        if not self.file:
+            raise InputError("no file given; give a take, a clip or any other file")
+        failed = 0
+        for path in self.file:
+            try:
+                contents = contents_of(path, format=self.format)
+            except InputError as error:
+                err.print(f"kinefilter: {printable(str(error))}")
+                failed += 1
+                continue
+            if self.json:
+                sys.stdout.write(json.dumps(finite(contents), indent=2) + "\n")
+            else:
+                out.print(as_tables(contents))
+        return 2 if failed == len(self.file) else min(failed, 1)
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ class Hold(Corrector):
     def fill(self, positions: Array) -> Array:
         """Return the next frames [m], (T, J, 3), with NaN filled as by ``step``."""
         filled = positions.copy()
-        missing = np.isnan(positions[..., 0])
+        missing = np.asarray(~np.isfinite(positions).all(axis=-1))
         for k in np.flatnonzero(missing.any(axis=1)):
             last = filled[k - 1] if k else self.last
             filled[k] = self._blend(last, positions[k], np.where(missing[k], 0.0, 1.0))

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from kinefilter.characters import InputError
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, check_arrays, check_kind
 
 Frames = Iterable[int] | None
 """Yields 0 to T - 1, for example the iterator of a progress bar; None for a range."""
@@ -85,7 +85,27 @@ class Corrector:
         self.start()
         steps = range(len(take.positions)) if frames is None else frames
         # Copies, as a method may write every frame into the same arrays.
-        return joined([deepcopy(self.step(take.at(k))).at(None) for k in steps])
+        frames_seen = (take.at(k) for k in steps)
+        found = (checked(self.step(seen), self, seen) for seen in frames_seen)
+        return joined([deepcopy(one).at(None) for one in found])
+
+
+def checked(
+    found: Any, method: Corrector, seen: Observation, *, finite: bool = False
+) -> Correction:
+    """Return what a method found, or raise an InputError unless it fits what was seen.
+
+    Positions must be ``finite``, or at least those of joints that were seen.
+    """
+    what, shape = f"the correction by {type(method).__name__}", seen.positions.shape
+    check_kind(found, Correction, what)
+    known = {} if found.rotations is None else {"rotations": (*shape[:-1], 4)}
+    check_arrays(found, what, {"positions": shape, "coverage": shape[:-2]})
+    check_arrays(found, what, known | {"confidence": shape[:-1]}, finite=True)
+    if not np.isfinite(found.positions[finite | ~np.isnan(seen.positions)]).all():
+        raise InputError(f"{what}: positions has NaN or infinite values of seen joints")
+    correction: Correction = found
+    return correction
 
 
 def joined(parts: Sequence[Correction]) -> Correction:

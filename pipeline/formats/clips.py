@@ -140,7 +140,10 @@ def read_clip(path: AnyPath) -> Clip:
             return clip
     elif not name.endswith(".csv"):
         known = ", ".join(_READABLE)
-        raise InputError(f"{path}: unknown extension for a clip; known: {known}")
+        wrong = "unknown extension for a clip"
+        if name.endswith((".vrma", ".fbx")):
+            wrong = "VRMA and FBX are for other tools and cannot be read back"
+        raise InputError(f"{path}: {wrong}; give {known}")
     return _clip_of_take(read_take(path))
 
 

@@ -31,6 +31,7 @@ _Stream = io.BufferedReader | gzip.GzipFile
 _GZIP_MAGIC = b"\x1f\x8b"
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV, longer than any recording
+CALIBRATION = "kinefilter calibration"  # what a file of sensor alignments is
 LARGEST_TOML = 2**16  # bytes of a handwritten file
 _LARGEST_RATIO = 100
 """Compression ratio of gzipped text above which, beyond ``_ANY_RATIO`` bytes, it is not
@@ -45,6 +46,7 @@ _UNUSABLE = re.compile(
 )
 """Names that Windows reserves for devices, changes, or refuses."""
 _FILE_URL = re.compile(r"((?:--[\w-]+=)?)file://(?:localhost)?(/.*)", re.DOTALL)
+_NO_URLS = "only batch takes URLs; give a local path"
 _LONGEST_PATH = 259  # characters, on Windows unless long paths are enabled
 _DAMAGE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
@@ -62,8 +64,8 @@ def check_folder(path: AnyPath) -> Path:
     path = as_path(path)
     if _WINDOWS and _UNUSABLE.fullmatch(path.name):
         raise InputError(f"{path}: Windows reserves such names; choose another")
-    if path.parts[:1] and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]):
-        raise InputError(f"{path}: only batch takes URLs; give a local path")
+    if _is_url(path):
+        raise InputError(f"{path}: {_NO_URLS}")
     folder = next((p for p in path.parents if p.exists()), path.parent)
     if not folder.is_dir():
         wrong = "is a file; choose a folder" if folder.exists() else "does not exist"
@@ -76,6 +78,10 @@ def check_folder(path: AnyPath) -> Path:
     except OSError as error:
         reason = f"cannot be written ({error.strerror})"
         raise InputError(f"{path}: {reason}; write elsewhere") from error
+
+
+def _is_url(path: Path) -> bool:
+    return bool(path.parts and re.fullmatch(r"[A-Za-z][\w+.-]+:", path.parts[0]))
 
 
 def make_folder(path: Path) -> None:
@@ -192,13 +198,17 @@ def check_file(path: AnyPath) -> Path:
         raise InputError(f"{path}: is a folder; give the name of a file")
     if not path.is_file():
         wrong = "there is no such file; check the name"
-        if path.exists():  # opening it might wait forever
+        if _is_url(path):
+            wrong = _NO_URLS
+        elif path.exists():  # opening it might wait forever
             wrong = "is a pipe, a socket or a device; give a file"
         elif path.is_symlink():
             wrong = "is a link to a missing file; restore that file or remove the link"
         elif path.parent.is_dir() and not os.access(path.parent, os.R_OK | os.X_OK):
             wrong = "its folder cannot be searched; check permissions"
         raise InputError(f"{path}: {wrong}")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: cannot be read; check permissions")
     return path
 
 
@@ -260,7 +270,8 @@ def _all(stream: _Stream, path: AnyPath, most: int) -> bytes:
 
 
 def _too_long(path: AnyPath, most: int) -> InputError:
-    return InputError(f"{path}: larger than {most / 1e6:.3g} MB; split it")
+    wrong = f"larger than the {most / 1e6:.3g} MB that such a file may have"
+    return InputError(f"{path}: {wrong}; split it, or give another")
 
 
 @contextmanager

@@ -65,9 +65,11 @@ class Recording:
             return self.takes[self.main]
         if not isinstance(body, int) or not 1 <= body <= len(self.takes):
             source = self.takes[0].source.removesuffix(", body 1")
+            last = len(self.takes)
+            known = f"expected 1 to {last}" if last > 1 else "only body 1"
             raise InputError(
-                f"{source}: has no body {shown(body)}, expected 1 to "
-                f"{len(self.takes)}; 'kinefilter info' lists them"
+                f"{source}: has no body {shown(body)}, {known}; 'kinefilter info' "
+                "lists them"
             )
         return self.takes[body - 1]
 

@@ -144,7 +144,8 @@ def _kinefilter(line: str, source: str) -> _Layout:
     elif unknown := [joint for joint in joints if joint not in skeleton.joints]:
         wrong = (
             f", joint {unknown[0][:40]!r} is not one of {skeleton.name}: "
-            f"{', '.join(skeleton.joints)}; rename or delete its columns"
+            f"{', '.join(skeleton.joints)}; rename its columns, such as Head.x, or "
+            "delete them"
         )
     elif unknown := [name for name in named if name not in known]:
         wrong = (

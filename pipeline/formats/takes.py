@@ -20,7 +20,7 @@ from .sheets import header_cells
 
 _V2_CELLS = 101  # time, and x, y, z and state of 25 joints
 _DESCRIBED = ("kinefilter", "kinect-v2", "kinect-v1")  # in the error message
-_JOINTS = re.compile(r"\b(Spine|HipCenter|SpineBase)\b")
+_JOINTS = re.compile(r"\b(HipCenter|Spine(Base)?)(?![a-z])", re.IGNORECASE)
 """Joints of which every take's header has at least one."""
 _JSON_KEYS = {
     "openpose": ('"people"', '"pose_keypoints_3d"'),
@@ -29,7 +29,7 @@ _JSON_KEYS = {
 }
 """Keys of which takes in JSON have at least one near the beginning."""
 _NPY, _C3D = "NUMPY", "\x02P"  # beginnings of files, decoded without other bytes
-_CLIPS = (b"glTF", b"PXR-USDC", b"PK\x03\x04")  # beginnings of files
+_CLIPS = (b"glTF", b"PXR-USDC", b"#usda", b"PK\x03\x04")  # beginnings of files
 _BEGINNING = 2**16  # characters: ten times the length of a bone list
 
 

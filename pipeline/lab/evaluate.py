@@ -40,7 +40,7 @@ _Fold = tuple[list[PairedTake], list[PairedTake]]  # for training and for testin
 def evaluate(
     train: Sequence[PairedTake],
     test: Sequence[PairedTake],
-    methods: Sequence[str],
+    methods: Sequence[str | Corrector],
     *,
     protocol: Protocol = "people",
     presets: Sequence[str] = (),
@@ -55,12 +55,13 @@ def evaluate(
 
     ``kinefilter evaluate --help`` explains the figures, and the arguments as options;
     clips, from ``read_pairs``, are in place of files, and ``assigned`` is ``--set``.
+    ``methods`` may also contain correctors of your own, named after their class.
     ``database`` is by default the built-in one, and with ``mocap`` made of the training
     clips. Raises an InputError if a method is unknown, if people or repetitions are too
     few, or if skeletons differ.
     """
     for items, kind, what in (
-        (methods, str, "methods"),
+        (methods, str | Corrector, "methods"),
         (presets, str, "presets"),
         (train, PairedTake, "train"),
         (test, PairedTake, "test"),
@@ -71,7 +72,9 @@ def evaluate(
     check_choice(protocol, get_args(Protocol), "protocol")
     if not isinstance(database, PostureDatabase | None):
         check_choice(database, ("mocap",), "database")
-    systems = systems_of(methods, presets, assigned, physics=physics)
+    named = [method for method in methods if isinstance(method, str)]
+    systems = systems_of(named, presets, assigned, physics=physics)
+    own = _own_systems(methods, physics)
     step = as_step(every)
     folds = [(known, new[::step]) for known, new in folds_of(train, test, protocol)]
     tested = [pair for _, new in folds for pair in new]
@@ -87,6 +90,7 @@ def evaluate(
             known, skeleton, people=bool(met), database=postures, progress=progress
         )
         trained = [(system, school.corrector(system)) for system in systems]
+        trained += own
         for pair in new:
             tallies["raw"].add(pair, pair.take.positions, 0.0)
         for name, tally in _test(new, trained, live, progress).items():
@@ -100,6 +104,21 @@ def evaluate(
         "methods": {name: tally.summary() for name, tally in tallies.items()},
         "worse_than_none": _worse_than_none(tallies),
     }
+
+
+def _own_systems(
+    methods: Sequence[str | Corrector], physics: bool
+) -> list[tuple[System, Corrector]]:
+    """Return the correctors among methods, with a label for each."""
+    correctors = [method for method in methods if isinstance(method, Corrector)]
+    names = [type(corrector).__name__ for corrector in correctors]
+    labels = [
+        name if names.count(name) == 1 else f"{name} {names[: k + 1].count(name)}"
+        for k, name in enumerate(names)
+    ]
+    config = CleanConfig(physics=physics)
+    systems = [System(label, config, ()) for label in labels]
+    return [*zip(systems, correctors, strict=True)]
 
 
 def _worse_than_none(tallies: dict[str, Tally]) -> dict[str, tuple[int, int]]:
@@ -128,7 +147,8 @@ def _test(
     """Return the results of each system; many clips are shared among all cores."""
     jobs = {s.label: (pairs, corrector, s.config, live) for s, corrector in trained}
     is_worker = multiprocessing.parent_process() is not None
-    if is_worker or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
+    own = any(not system.methods for system, _ in trained)  # may not pickle
+    if is_worker or own or len(pairs) * len(trained) < _FEWEST_FOR_PROCESSES:
         return {label: tally_clips(*job, progress) for label, job in jobs.items()}
     with workers() as pool:
         results = {name: pool.submit(tally_clips, *job) for name, job in jobs.items()}

@@ -15,6 +15,7 @@ import numpy as np
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.motion import nominal_step
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.merge.alignment import TwoTakes
 from kinefilter.pipeline.merge.lag import Clock, Spline, best_lag, distances, refine_lag
@@ -332,7 +333,8 @@ def _pairing(match: _Match, shared: Placement, subject: str) -> Pairing:
         )
     inside = slice(rows[0], rows[-1] + 1)
     if outside := len(take) - (inside.stop - inside.start):
-        notes.append(f"{outside} frames are before or after the mocap")
+        left_out = counted(int(outside), "frame")
+        notes.append(f"{left_out} before or after the mocap left out")
     pair = PairedTake(*_even(take, truth, inside), subject, match.clip)
     return Pairing(pair, match.clock, placed, _explained(match, placed), tuple(notes))
 

@@ -12,6 +12,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import LearnedCorrector
 from kinefilter.pipeline.draft import Draft
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.methods import LEARNED
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.progress import Progress, silent
@@ -71,7 +72,7 @@ def training_set(
         truth,
         first,
         skeleton,
-        f"{len(counts)} clips of {', '.join(names)}",
+        f"{counted(len(counts), 'clip')} of {', '.join(names)}",
         lengths,
         np.repeat(people, counts),
         tuple(subjects),

@@ -20,6 +20,7 @@ from kinefilter.characters import (
     skeleton_named,
     standard_body,
 )
+from kinefilter.characters.arrays import shown
 from kinefilter.characters.humanoid import MOST_CHARACTERS
 from kinefilter.pipeline.physics.shared_scene import SharedScene
 
@@ -199,7 +200,11 @@ class Session:
         elif scene is not None and isinstance(command, Place):
             done = scene.place(*command)
         if not done:
-            raise MalformedError(Reason.UNKNOWN)
+            names = ", ".join(shown(value) for value in command if type(value) is str)
+            note = f"a {type(command).__name__.lower()} names {names}"
+            if scene is None and not isinstance(command, Push):
+                note = "throws and places need --scene"
+            raise MalformedError(Reason.UNKNOWN, note)
         self.tally.events[Event.OBEYED] += 1
 
     def _take_in(self, frame: Frame, number: int) -> None:

@@ -188,22 +188,25 @@ def _parse_frame(data: dict[str, Any], skeleton: Skeleton) -> Frame:
 
 def _parse_command(kind: str, data: Any) -> Command:
     command, fields = _COMMANDS[kind]
+    note = f"a {kind} has {', '.join(fields)}; CONVENTIONS.md shows one"
+    wrong = MalformedError(Reason.COMMAND, note)
     if not isinstance(data, dict) or set(data) != set(fields):
-        raise MalformedError(Reason.COMMAND)
+        raise wrong
     values: list[Any] = []
     for name, (count, most) in fields.items():
         value = data[name]
         if count:
             numbers = value if isinstance(value, list) else [value]
             if [type(number) for number in numbers] != [float] * count:
-                raise MalformedError(Reason.COMMAND)
+                raise wrong
             if not max(map(abs, numbers)) <= most:
-                raise MalformedError(Reason.NUMBER)
+                high = f"{name} of a {kind}: expected numbers up to {most:g}"
+                raise MalformedError(Reason.NUMBER, high)
             value = np.array(value)
         elif name == "body":
             value = _parse_id(value)
         elif not isinstance(value, str):
-            raise MalformedError(Reason.COMMAND)
+            raise wrong
         values.append(value)
     return command(*values)
 

@@ -216,7 +216,10 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
         out = out.parent / added
     stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
-    paths = [Path(str(out).replace(_CLIP, stem)) for stem in stems]
+    sign = "%%" if numbered else "%"  # in a name that is a pattern
+    names = [out.name.replace(_CLIP, stem.replace("%", sign)) for stem in stems]
+    folders = [str(out.parent).replace(_CLIP, stem) for stem in stems]
+    paths = [Path(*parts) for parts in zip(folders, names, strict=True)]
     if twice := [path for path, count in Counter(paths).items() if count > 1]:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
         raise InputError(

@@ -114,7 +114,8 @@ def align(first: Take, second: Take) -> Alignment:
     if cost > _WORST:
         raise InputError(
             f"{both}: the takes do not show the same movement at any lag; give takes "
-            "of the same people at the same time, from sensors that stand still"
+            "of the same people at the same time, from sensors that stand still; takes "
+            "of different times are cleaned one by one, or with 'kinefilter batch'"
         )
     clock = pair.refine(clock, placed)
     placed, _, _ = pair.place(clock)

@@ -126,8 +126,8 @@ def _calibrated(found: Alignment, known: Alignment, source: str) -> Alignment:
     if away and found.place_is_sure and found.clock_is_sure:
         raise InputError(
             f"{source}: its sensor stands {np.degrees(away[0]):.0f} degrees and "
-            f"{away[1]:.2f} m away from its place in the calibration, so it was moved; "
-            "leave --calibration out"
+            f"{away[1]:.2f} m away from its place in the calibration: it was moved, or "
+            "the takes are in another order: give that, or leave --calibration out"
         )
     clock = found.clock if found.clock_is_sure else known.clock
     return found._replace(

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kinefilter.characters import Body, InputError, Origin, Skeleton, Take
-from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers
+from kinefilter.characters.arrays import Array, Flags, Indices, as_numbers, check_kind
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cleaner import Cleaner
@@ -21,7 +21,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.edits import Edit, check_edits, edited, read_edits
 from kinefilter.pipeline.failures.sides import swapped_back
 from kinefilter.pipeline.failures.trunk import steadied
-from kinefilter.pipeline.formats.files import check_file, new_text
+from kinefilter.pipeline.formats.files import CALIBRATION, check_file, new_text
 from kinefilter.pipeline.formats.recording import Recording
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians
@@ -36,7 +36,6 @@ from .person import find_person
 from .rigid import Placement
 
 _NEAREST = 0.6  # of a step: a frame of another sensor this near is not one of its own
-_KIND = "kinefilter calibration"
 _UNREADABLE = (OSError, InputError, LookupError, TypeError, ValueError, RecursionError)
 _SHAPES = {"turn_xyzw": (4,), "shift_meters": (3,), "lag_seconds": ()}
 _MAX_DISTANCE = 100.0  # m from one sensor to another
@@ -121,6 +120,9 @@ def merge(
     Raises:
         InputError: Fewer than two takes, or takes that do not belong together.
     """
+    check_kind(takes, list | tuple, "the takes")
+    for one in takes:
+        check_kind(one, Take | Recording, "a take")
     recordings = [
         one if isinstance(one, Recording) else Recording((one,)) for one in takes
     ]
@@ -212,7 +214,8 @@ def write_calibration(merged: Merged, path: Path) -> None:
             }
         )
     with new_text(path) as file:
-        file.write(json.dumps({"file": _KIND, "sensors": sensors}, indent=2) + "\n")
+        calibration = {"file": CALIBRATION, "sensors": sensors}
+        file.write(json.dumps(calibration, indent=2) + "\n")
 
 
 def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
@@ -222,8 +225,8 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
     check_file(path)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        if found["file"] != _KIND:
-            raise ValueError(f"not a {_KIND}")
+        if found["file"] != CALIBRATION:
+            raise ValueError(f"not a {CALIBRATION}")
         alignments = []
         for sensor in found["sensors"][1:]:
             turn, shift, lag = (
@@ -267,6 +270,7 @@ def clean_session(
     corrections to the merged take, by default those that the config names.
     """
     config = CleanConfig() if config is None else config
+    check_kind(config, CleanConfig, "the config")
     if edits is None:
         edits = read_edits(config.edits) if config.edits else ()
     config = replace(config, edits=None)

@@ -23,8 +23,8 @@ class Simulate:
     scene: Positional[str]
     """Surroundings of the person: the name of a scene (an unknown name lists them), or
     an MJCF file (.xml)."""
-    out: Annotated[Path, arg(aliases=["-o"])]
-    """Take to write (.csv)."""
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Take to write (.csv); required unless --pairs is given."""
     motion: str | None = None
     """What the person does, such as walk, tai_chi or lift_box; default: a motion that
     fits the scene. squat, lunge, step_over, sit and raise_leg are everyday movements;
@@ -66,15 +66,17 @@ class Simulate:
             raise InputError(f"--degrees {self.degrees}: must be finite")
         if self.sensors == 1 and self.degrees != Simulate.degrees:
             raise InputError("--degrees needs --sensors 2 or more")
+        if self.out is None and self.pairs is None:
+            raise InputError("nothing to write; name a take with -o, or --pairs")
         check_output(self.out, self.truth, self.pairs, suffix=".csv")
         check_output(self.truth, suffix=".csv")
         check_output(self.pairs, suffix=".npz")
         motion = self.motion or lab.motion_for(self.scene)
-        paths = [self.out]
+        paths = [] if self.out is None else [self.out]
         if self.sensors > 1:
             if (self.skeleton, self.pairs, self.tracker) != (None, None, "model"):
                 raise InputError("--skeleton, --pairs and --tracker are for one sensor")
-            paths = [numbered(self.out, k + 1) for k in range(self.sensors)]
+            paths = [numbered(paths[0], k + 1) for k in range(self.sensors)]
             for path in paths:
                 check_output(path, self.truth)
             sensors, degrees = [self.sensor] * self.sensors, self.degrees
@@ -94,13 +96,14 @@ class Simulate:
                     tracker=self.tracker,
                 )
             ]
-        for path, pair in zip(paths, pairs, strict=True):
+        for path, pair in zip(paths, pairs, strict=False):
             write_take_csv(pair.take, path)
         if self.truth is not None:
             write_take_csv(lab.truth_of(pairs[0]), self.truth)
         if self.pairs is not None:
             lab.write_pairs(pairs, self.pairs)
-        written = ", ".join(map(str, paths))
+        files = [*paths, self.truth, self.pairs]
+        written = ", ".join(str(file) for file in files if file is not None)
         if len(pairs) == 1:
             take = pairs[0].take
             tracked = (take.state == State.TRACKED).mean()
