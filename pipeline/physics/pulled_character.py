@@ -7,6 +7,7 @@ gravity and the floor, so the result obeys them whatever the target does.
 
 from __future__ import annotations
 
+from math import hypot
 from pathlib import Path
 
 import mujoco
@@ -231,13 +232,13 @@ class PulledCharacter:
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
-        self.feet.begin(move, stands if carries else None)
         self._pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
             given = force * min(left / dt, 1.0)
             data.xfrc_applied[part, :3] += given
             self._pushed += given
+        self.feet.begin(move, stands if carries else None)
         self._on_trunk = data.xfrc_applied[self.root_body, :3].copy()
         self._returned = np.zeros(3)
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
@@ -338,10 +339,13 @@ class PulledCharacter:
             self._limbs.start()
             return False
         pose = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
+        return self._limbs.step(pose, self._target, dt, self._is_blocked)
+
+    def _is_blocked(self) -> bool:
+        """Whether it touches anything but itself and the floor."""
         touching = self.data.contact.geom
         own, others = self.is_part[touching], self._is_other[touching]
-        blocked = bool((own & others[:, ::-1]).any())
-        return self._limbs.step(pose, self._target, dt, blocked=blocked)
+        return bool((own & others[:, ::-1]).any())
 
     def _place(self, positions: Array, rotations: Array) -> None:
         qpos, root, skeleton = self.data.qpos, self._root_joint, self.body.skeleton
@@ -397,5 +401,4 @@ class PulledCharacter:
 
         No muscle could exert it. 0 where nothing pulls, or the character was reset.
         """
-        force = float(np.linalg.norm(self._external) / self._weight)
-        return 0.0 if self.limp else force
+        return 0.0 if self.limp else hypot(*self._external) / self._weight
