@@ -4,8 +4,7 @@ import numpy as np
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import unit
-from kinefilter.characters.skeleton import SIDES
+from kinefilter.characters.rotations import cross, unit
 from kinefilter.pipeline.failures.limb_failures import LIMBS
 
 # m by which a knee may be behind the line from hip to ankle: 9 degrees. Mocap of six
@@ -18,16 +17,14 @@ that points along it is not known, and is known."""
 
 def possible_knees(positions: Array, skeleton: Skeleton) -> Array:
     """Return joints [m] (T, J, 3) with knees that are hardly behind their leg."""
-    moved = positions.copy()
-    left_hip, right_hip = (positions[:, hip] for hip in skeleton.hips)
-    left = unit(left_hip - right_hip)
-    for side in SIDES:
-        hip, knee, ankle = (skeleton.index(f"{p}{side}") for p in LIMBS["leg"])
-        front = np.cross(unit(positions[:, ankle] - positions[:, hip]), left)
-        sine = np.linalg.norm(front, axis=1)
-        front = unit(front)
-        ahead = np.vecdot(positions[:, knee] - positions[:, hip], front)
-        known = ((sine - _SIDEWAYS) / (_UPRIGHT - _SIDEWAYS)).clip(0.0, 1.0)
-        change = known * np.maximum(-_BEHIND - ahead, 0.0)
-        moved[:, knee] += change[:, None] * front
+    hips, knees, ankles = (skeleton.sides(part) for part in LIMBS["leg"])
+    top, moved = positions[:, hips], positions.copy()
+    left = unit(top[:, :1] - top[:, 1:])
+    front = cross(unit(positions[:, ankles] - top), left)
+    sine = np.sqrt(np.vecdot(front, front))
+    front = unit(front)
+    ahead = np.vecdot(positions[:, knees] - top, front)
+    known = ((sine - _SIDEWAYS) / (_UPRIGHT - _SIDEWAYS)).clip(0.0, 1.0)
+    change = known * np.maximum(-_BEHIND - ahead, 0.0)
+    moved[:, knees] += change[..., None] * front
     return moved

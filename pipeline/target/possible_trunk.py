@@ -27,7 +27,8 @@ def possible_trunk(positions: Array, body: Body) -> Array:
     """
     skeleton = body.skeleton
     pairs = [list(skeleton.hips), skeleton.sides("Shoulder")]
-    lines = positions[:, pairs][:, :, 0] - positions[:, pairs][:, :, 1]
+    ends = positions[:, pairs]
+    lines = ends[:, :, 0] - ends[:, :, 1]
     rest = body.rest_positions[pairs]
     usual = np.linalg.norm(rest[:, 0] - rest[:, 1], axis=1)
     trunk = positions[:, skeleton.girdle] - positions[:, skeleton.root]
