@@ -97,8 +97,10 @@ class PulledCharacter:
         self._turned = np.array([joints.index(name) for name in turned])
         axes = model.actuator_gear[torques, 3:]
         self.planner = MovePlanner(body, self._turned, axes, damping)
-        targets = [model.body(f"{prefix}target:{name}").id for name in joints]
-        self._mocap = model.body_mocapid[targets]
+        targets = [model.body(f"{prefix}target:{name}").mocapid[0] for name in joints]
+        # Views of the engine's memory: reading an attribute makes a new one.
+        self._turns = self.data.mocap_quat[targets[0] : targets[-1] + 1]
+        self._ctrl = self.data.ctrl[self._pulls]
         self._palms = body.skeleton.sides("Hand")
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         # Other characters count as props, which can hit this one.
@@ -243,7 +245,7 @@ class PulledCharacter:
         self._returned = np.zeros(3)
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n = move.after[0].size
-        self._forward, data.ctrl[self._pulls][n:] = move.forward[:n], move.forward[n:]
+        self._forward, self._ctrl[n:] = move.forward[:n], move.forward[n:]
         if (loads := self.grasp.loads).any():
             self._forward = self._forward.copy()
             self._forward.reshape(-1, 3)[self._palms, 2] += loads
@@ -260,10 +262,9 @@ class PulledCharacter:
         """Aim the pulls at the point that lies at a share of the move."""
         (before_p, before_q), (after_p, after_q) = self._move.before, self._move.after
         point, n = before_p + share * (after_p - before_p), after_p.size
-        ctrl = self.data.ctrl[self._pulls]
-        ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
+        self._ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
         # The engine normalizes these quaternions.
-        self.data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
+        self._turns[:] = before_q + share * (after_q - before_q)
 
     def press(self, timestep: float) -> None:
         """Apply the forces of a substep of some length [s]."""
@@ -353,7 +354,7 @@ class PulledCharacter:
         relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[self._speeds] = 0.0
-        self.data.mocap_quat[self._mocap] = rotations
+        self._turns[:] = rotations
         mujoco.mj_kinematics(self.model, self.data)
         self.rise_from_floor()
 
