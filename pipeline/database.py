@@ -177,7 +177,8 @@ class PostureIndex:
         low = np.minimum.reduceat(flat, starts)
         high = np.maximum.reduceat(flat, starts)
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
-        self._farthest = np.sum(np.abs(positions).max(axis=0).astype(float) ** 2, axis=1)
+        reach = np.abs(positions).max(axis=0).astype(float)
+        self._farthest = np.vecdot(reach, reach)
         # Single precision: every query reads all of it, so memory bandwidth counts.
         squares = np.sum(flat.reshape(positions.shape) ** 2, axis=2)
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)

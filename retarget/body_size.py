@@ -168,7 +168,7 @@ class Standardizer:
         """Return the vector to each joint from its parent, to the root from 0."""
         skeleton = self.body.skeleton
         bones = positions.copy()
-        bones[..., skeleton.segments, :] -= positions[..., skeleton.segment_parents, :]
+        bones[..., skeleton.segments, :] = skeleton.bones(positions)
         return bones
 
 

@@ -26,7 +26,7 @@ class BoneLengths:
     """
 
     def __init__(self, body: Body) -> None:
-        skeleton = body.skeleton
+        skeleton = self._skeleton = body.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._lengths = body.lengths[self._ends]
         self._rest = body.directions[self._ends]
@@ -125,7 +125,7 @@ class BoneLengths:
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
         """Return unit directions (of zero bones: at rest) and length errors [m]."""
-        bones = points[:, self._ends] - points[:, self._starts]
+        bones = self._skeleton.bones(points)
         lengths = np.sqrt(np.vecdot(bones, bones))
         errors = lengths - self._lengths
         if lengths.min(initial=1.0) > 1e-6:

@@ -83,7 +83,7 @@ def find_yaw(
     J, 3) have y up and are NaN where missing.
     """
     left, right = skeleton.across
-    lines = positions[..., left, :] - positions[..., right, :]
+    lines = positions.take(left, -2) - positions.take(right, -2)
     known = ~np.isnan(lines)
     if weights is not None:
         lines *= (weights[..., left] * weights[..., right])[..., None]

@@ -29,8 +29,8 @@ def rotations_from_positions(
     pelvis = multiply(pelvis, _from_rest_pelvis(body))
     rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, _UNTURNED)
     if prior is not None:
-        bones = positions[..., ends, :] - positions[..., starts, :]
-        rotations[..., ends, :] = _aligned(prior[..., ends, :], rest[ends], bones)
+        turns, bones = prior.take(ends, -2), skeleton.bones(positions)
+        rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
         return rotations
     for j, p in zip(ends, starts, strict=True):
         bone = positions[..., j, :] - positions[..., p, :]

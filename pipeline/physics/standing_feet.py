@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 
 from kinefilter.characters.arrays import Flags, Indices
 
