@@ -98,7 +98,7 @@ class Hold(Corrector):
 
     def _extend(self, postures: Array, measured: Flags) -> None:
         """Place hands and feet that were not ``measured`` yet in postures (T, J, 3)."""
-        for j in self._tips:
+        for j in self._tips if not measured.all() else ():
             unknown = ~measured[:, j]
             if unknown.any():
                 posture, p = postures[unknown], self._parents[j]
