@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinefilter.characters import Body, InputError
-from kinefilter.characters.arrays import Array, chunks
+from kinefilter.characters.arrays import Array, chunks, solved
 
 _CHUNK = 2048  # frames at a time, to bound the memory
 _MOST_STEPS = 40
@@ -94,7 +94,7 @@ class BoneLengths:
             system += self._ridge
             # Steps of at most half a bone keep a folded limb from flipping over.
             step = np.minimum(np.maximum(errors, -most), most)
-            pull = _solved(system, step)[..., None] * directions
+            pull = solved(system, step[..., None]) * directions
             tried = points - share * (moves.transpose(0, 2, 1) @ pull)
             new_directions, new_errors = self._bones(tried)
             new_worst = np.abs(new_errors).max(axis=1)
@@ -133,12 +133,3 @@ class BoneLengths:
         valid = (lengths > 1e-6)[..., None]
         directions = bones / np.where(valid, lengths[..., None], 1.0)
         return np.where(valid, directions, self._rest), errors
-
-
-def _solved(systems: Array, right: Array) -> Array:
-    """Return the solutions (T, N) of symmetric systems (T, N, N)."""
-    if len(systems) == 1:  # LAPACK directly: numpy's checks take longer
-        from scipy.linalg.lapack import dposv  # slow to load
-
-        return np.asarray(dposv(systems[0], right[0])[1])[None]
-    return np.asarray(np.linalg.solve(systems, right[..., None])[..., 0])
