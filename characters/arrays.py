@@ -32,6 +32,16 @@ def chunks(count: int, size: int = 1000) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count, size)]
 
 
+def solved(systems: Array, right: Array) -> Array:
+    """Return the solutions (..., N, C) of positive definite systems (..., N, N)."""
+    if systems.size > systems.shape[-1] ** 2:
+        return np.asarray(np.linalg.solve(systems, right))
+    from scipy.linalg.lapack import dposv  # slow to load, but numpy's checks are slower
+
+    one = systems.reshape(systems.shape[-2:]), right.reshape(right.shape[-2:])
+    return np.asarray(dposv(*one)[1].reshape(right.shape))
+
+
 def runs(flags: Flags, shortest: int = 1) -> list[slice]:
     """Return the runs of at least ``shortest`` frames in which flags (T,) are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))

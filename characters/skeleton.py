@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .arrays import Flags, Indices, check_choice, shown
+from .arrays import Array, Flags, Indices, check_choice, shown
 from .errors import InputError
 
 SIDES = ("Left", "Right")
@@ -119,6 +119,12 @@ class Skeleton:
     def segment_parents(self) -> Indices:
         """Index of the joint at which each of ``segments`` starts."""
         return np.array([self.parents[j] for j in self.segments])
+
+    def bones(self, positions: Array) -> Array:
+        """Return the vector from start to end of each of ``segments``, (..., S, 3)."""
+        # Twice as fast as indices in brackets.
+        ends, starts = self.segments, self.segment_parents
+        return np.asarray(positions.take(ends, -2) - positions.take(starts, -2))
 
     @cached_property
     def mirror(self) -> Indices:

@@ -177,7 +177,8 @@ class PostureIndex:
         low = np.minimum.reduceat(flat, starts)
         high = np.maximum.reduceat(flat, starts)
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
-        self._reach = np.abs(flat).max(axis=0).astype(float)
+        reach = np.abs(positions).max(axis=0).astype(float)
+        self._farthest = np.vecdot(reach, reach)
         # Single precision: every query reads all of it, so memory bandwidth counts.
         squares = np.sum(flat.reshape(positions.shape) ** 2, axis=2)
         self._products = np.concatenate([squares, -2.0 * flat], axis=1)
@@ -189,8 +190,9 @@ class PostureIndex:
         if not weights.any():
             return np.arange(count), np.zeros(count)
         seen = np.where(weights[:, None] > 0.0, query, 0.0)
-        farthest = (np.abs(seen) + self._reach.reshape(seen.shape)) ** 2
-        slack = _ROUNDING * float(weights @ farthest.sum(axis=1))  # rounding error of D
+        # The rounding error of D: (a + b)^2 <= 2 (a^2 + b^2).
+        farthest = 2.0 * (np.vecdot(seen, seen) + self._farthest)
+        slack = _ROUNDING * float(weights @ farthest)
         rows = self._nearby(seen, weights, count, slack, guess)
         near = np.sort(self._order[rows])
         away = self._positions[near] - seen

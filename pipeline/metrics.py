@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from kinefilter.characters import Body
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
@@ -256,6 +255,8 @@ def unexplained(time: Array, positions: Array, body: Body) -> tuple[Array, Array
 
     Time stamps [s] increase strictly; positions [m], (T, J, 3), have the floor at 0.
     """
+    from scipy.optimize import nnls  # slow to import, and live motion needs none
+
     residuals = np.full((len(time), 2, 3), np.nan)
     whole = np.asarray(np.isfinite(positions).all(axis=(1, 2)))
     for part in parts_of(time):

@@ -94,7 +94,7 @@ class UsualScores:
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
     """Return the length [m] of each joint's segment, root 0, shape (..., J)."""
     lengths, ends = np.zeros(positions.shape[:-1]), skeleton.segments
-    bones = positions[..., ends, :] - positions[..., skeleton.segment_parents, :]
+    bones = skeleton.bones(positions)
     lengths[..., ends] = np.sqrt(np.sum(bones * bones, axis=-1))
     return lengths
 
@@ -305,8 +305,7 @@ class ReliabilityScorer:
 
     def _kinematics(self, positions: Array) -> Array:
         """Return the segment-length term (eq. 5-6); a missing end counts as wrong."""
-        ends, starts = self.skeleton.segments, self.skeleton.segment_parents
-        bones = positions[ends] - positions[starts]
+        bones = self.skeleton.bones(positions)
         lengths = np.sqrt(np.vecdot(bones, bones))
         ratio = np.abs(lengths - self._lengths) / self._lengths
         ratio = np.fmin(ratio, 1.0)  # 1 where it is NaN

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from kinefilter.characters import Body, InputError, Skeleton
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters.arrays import Array, Flags, chunks, solved
 from kinefilter.characters.rotations import about_x, between, inverse, multiply, rotate
 
 _CHUNK = 2048  # frames at a time, to bound the memory
@@ -32,7 +32,7 @@ class BoneLengths:
     """
 
     def __init__(self, body: Body) -> None:
-        skeleton = body.skeleton
+        skeleton = self._skeleton = body.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._lengths = body.lengths[self._ends]
         self._rest = body.directions[self._ends]
@@ -100,7 +100,7 @@ class BoneLengths:
             system += self._ridge
             # Steps of at most half a bone keep a folded limb from flipping over.
             step = np.minimum(np.maximum(errors, -most), most)
-            pull = np.linalg.solve(system, step[..., None]) * directions
+            pull = solved(system, step[..., None]) * directions
             tried = points - share * (moves.transpose(0, 2, 1) @ pull)
             new_directions, new_errors = self._bones(tried)
             new_worst = np.abs(new_errors).max(axis=1)
@@ -131,7 +131,7 @@ class BoneLengths:
 
     def _bones(self, points: Array) -> tuple[Array, Array]:
         """Return unit directions (of zero bones: at rest) and length errors [m]."""
-        bones = points[:, self._ends] - points[:, self._starts]
+        bones = self._skeleton.bones(points)
         lengths = np.sqrt(np.vecdot(bones, bones))
         errors = lengths - self._lengths
         if lengths.min(initial=1.0) > 1e-6:
@@ -162,8 +162,8 @@ def rotations_from_positions(
     pelvis = multiply(pelvis, _from_rest_pelvis(body))
     rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, _UNTURNED)
     if prior is not None:
-        bones = positions[..., ends, :] - positions[..., starts, :]
-        rotations[..., ends, :] = _aligned(prior[..., ends, :], rest[ends], bones)
+        turns, bones = prior.take(ends, -2), skeleton.bones(positions)
+        rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
         return rotations
     for j, p in zip(ends, starts, strict=True):
         bone = positions[..., j, :] - positions[..., p, :]

@@ -98,7 +98,7 @@ def find_yaw(
     J, 3) have y up and are NaN where missing.
     """
     left, right = skeleton.across
-    lines = positions[..., left, :] - positions[..., right, :]
+    lines = positions.take(left, -2) - positions.take(right, -2)
     known = ~np.isnan(lines)
     if weights is not None:
         lines *= (weights[..., left] * weights[..., right])[..., None]
@@ -256,7 +256,7 @@ class Standardizer:
         """Return the vector to each joint from its parent, to the root from 0."""
         skeleton = self.body.skeleton
         bones = positions.copy()
-        bones[..., skeleton.segments, :] -= positions[..., skeleton.segment_parents, :]
+        bones[..., skeleton.segments, :] = skeleton.bones(positions)
         return bones
 
 

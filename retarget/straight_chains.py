@@ -65,11 +65,12 @@ class _StraightChains:
         shorter than 1 as far as the joints disagree, and their weights, (..., K), less
         for chains that bend far, most of which the tracker has lost.
         """
-        bones = positions[..., self.joints, :] - positions[..., None, self.starts, :]
+        starts = positions.take(self.starts, -2)
+        bones = positions.take(self.joints, -2) - starts[..., None, :, :]
         pulls = weights[..., self.joints] * self._reach
         total = (pulls * self._reach).sum(axis=-2)
         mean = (pulls[..., None] * bones).sum(axis=-3) / total[..., None]
-        aims = rotate(inverse(rotations[..., self.starts, :]), mean)
+        aims = rotate(inverse(rotations.take(self.starts, -2)), mean)
         bent = aims - self.along
         odd = np.vecdot(bent, bent) / _ODD**2
         return aims, total / self._whole / (1.0 + odd)
@@ -109,7 +110,7 @@ class Neck(_StraightChains):
         vector in the world, after the neck's bend is undone. Other arguments are those
         of ``posed``.
         """
-        local = rotate(inverse(rotations[..., self.starts, :]), face[..., None, :])
+        local = rotate(inverse(rotations.take(self.starts, -2)), face[..., None, :])
         return rotate(between(head, self.along), local)[..., [0, 2]]
 
     def turn(self, faces: Array, weights: Array) -> Array:
@@ -181,7 +182,7 @@ class Palms(_StraightChains):
         angles to that, of length 1 at rest.
         """
         bones = positions[..., self._thumbs, :] - positions[..., self.starts, :]
-        local = rotate(inverse(rotations[..., self.starts, :]), bones)
+        local = rotate(inverse(rotations.take(self.starts, -2)), bones)
         local = rotate(between(hands, self.along), local)
         return np.vecdot(local[..., None, :], self._sides), weights[..., self._thumbs]
 

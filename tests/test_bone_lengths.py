@@ -296,3 +296,11 @@ def test_short_motions_pass(frames: int) -> None:
     )
     assert projected.shape == (frames, 20, 3)
     assert np.isfinite(projected).all()
+
+
+def test_a_frame_alone_gives_what_it_gives_among_others() -> None:
+    points, firmness = noisy(KINECT_V1, 20, 0.03), np.ones((20, 20))
+    bones = BoneLengths(standard_body(KINECT_V1))
+    alone = [bones.project(points[[k]], firmness[[k]])[0] for k in range(20)]
+    together = bones.project(points, firmness)
+    np.testing.assert_allclose(alone, together, rtol=0.0, atol=1e-12)

@@ -75,7 +75,7 @@ def test_a_hand_that_stays_off_its_target_is_stuck_unless_something_blocks_it(
     pose = positions_from_rotations(turns, root + elsewhere, BODY)[0], turns[0]
     target = positions_from_rotations(wanted, root, BODY)[0], wanted[0]
     limbs = StuckLimbs(BODY)
-    found = [limbs.step(pose, target, 0.04, blocked=blocked) for _ in range(5)]
+    found = [limbs.step(pose, target, 0.04, lambda: blocked) for _ in range(5)]
     assert found == [False, False, False, stuck, stuck]
 
 
@@ -95,7 +95,7 @@ def test_a_foot_that_stays_off_what_it_can_follow_is_stuck(
         for turns in (own, target)
     )
     limbs = StuckLimbs(BODY)
-    found = [limbs.step(pose, there, 0.04) for _ in range(5)]
+    found = [limbs.step(pose, there, 0.04, lambda: False) for _ in range(5)]
     assert found == [False, False, False, stuck, stuck]
 
 

@@ -260,7 +260,7 @@ class FourierRidge(LearnedCorrector):
         offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
         offsets = offsets + (far_side * off_frontal)[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
-        shift = offsets[..., self._posture_features.carrier, :]
+        shift = offsets.take(self._posture_features.carrier, -2)
         for j in self.skeleton.order[1:] if missing.any() else ():
             ends = shift[..., self.skeleton.parents[j], :], shift[..., j, :]
             shift[..., j, :] = np.where(missing[..., j, None], *ends)
@@ -268,7 +268,7 @@ class FourierRidge(LearnedCorrector):
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
             scale = np.exp(-_BONE_SHARE * found.share * odd)[..., None]
-            bones = moved - moved[..., self._parents, :] * self._hangs
+            bones = moved - moved.take(self._parents, -2) * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
         turn = _turn(found.toward, float(self.turn_share_))

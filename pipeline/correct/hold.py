@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Skeleton, standard_body
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters.arrays import Array, Flags, solved
 from kinefilter.characters.rotations import between, rotate
 
 from .interface import Correction, Corrector, Frames, Observation, measured_only
@@ -64,7 +64,7 @@ class Blend:
         weights = confidence / np.maximum(1.0 - confidence, 1.0 / _FIRMEST)
         own = np.eye(confidence.shape[-1]) * (weights + 1e-6)[..., None]
         pulled = weights[..., None] * residual
-        blended = prior + np.linalg.solve(self._laplacian + own, pulled)
+        blended = prior + solved(self._laplacian + own, pulled)
         # Fully trusted joints stay exactly where they were measured.
         return np.where(confidence[..., None] >= 1.0, measured, blended)
 
@@ -96,7 +96,7 @@ class Hold(Corrector):
 
     def _extend(self, postures: Array, measured: Flags) -> None:
         """Place hands and feet that were not ``measured`` yet in postures (T, J, 3)."""
-        for j in self._tips:
+        for j in self._tips if not measured.all() else ():
             unknown = ~measured[:, j]
             if unknown.any():
                 posture, p = postures[unknown], self._parents[j]

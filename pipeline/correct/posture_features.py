@@ -104,8 +104,8 @@ class PostureFeatures:
 
     def points(self, postures: Array) -> Array:
         """Return known joints relative to the middle of the hips [m], (..., M, 3)."""
-        points = postures[..., self.joints, :]
-        return np.asarray(points - points[..., self._hips, :].mean(-2, keepdims=True))
+        points = postures.take(self.joints, -2)
+        return np.asarray(points - points.take(self._hips, -2).mean(-2, keepdims=True))
 
     def mirrored(self, points: Array) -> Array:
         """Return the mirror image of known joints, or of their offsets, (T, M, 3)."""
@@ -117,7 +117,7 @@ class PostureFeatures:
         return np.asarray(odd - odd.mean())
 
     def _bones(self, points: Array) -> Array:
-        return points[..., 1:, :] - points[..., self._starts, :]
+        return points[..., 1:, :] - points.take(self._starts, -2)
 
     def __call__(
         self,

@@ -97,6 +97,7 @@ class PostureEnergy:
         axes, joints = space.basis.shape[1], len(body.lengths)
         self._style = weights.style / joints
         self._to_neighbors = self._style * space.latent  # eq. 11
+        self._along = -2.0 * self._to_neighbors.T
         self._from_neighbors = self._style * space.squares
         ends, starts = body.skeleton.segments, body.skeleton.segment_parents
         points = space.mean.reshape(-1, 3)
@@ -121,6 +122,7 @@ class PostureEnergy:
         if steady is not None:
             diagonal += w.continuity / joints
             self._fixed += w.continuity / joints * space.project(steady)
+        self._twice_fixed = 2.0 * self._fixed
         self._hessian.flat[:: len(self._hessian) + 1] += diagonal
 
     @property
@@ -139,8 +141,8 @@ class PostureEnergy:
         bones = self._bones + moved
         lengths = np.sqrt(np.vecdot(bones, bones))
         errors = lengths - self._lengths
-        energies = np.vecdot(points @ self._hessian - 2.0 * self._fixed, points)
-        style = self._from_neighbors - 2.0 * (points @ self._to_neighbors.T)
+        energies = np.vecdot(points @ self._hessian - self._twice_fixed, points)
+        style = self._from_neighbors + points @ self._along
         energies += style.min(axis=1)
         energies += self._stiff * np.vecdot(errors, errors)
         return energies, bones, lengths

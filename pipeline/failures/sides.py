@@ -254,6 +254,8 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     plane, also while only trunk and arms, or only legs, are swapped. Hips and shoulders
     turn evenly where sides change or they show nothing.
     """
+    if not swapped.any():
+        return steadied(take, [])
     skeleton, (frames, legs) = take.skeleton, swapped.T
     behind = np.repeat(frames[:, None], len(skeleton), axis=1)
     behind[:, _below(skeleton, "Hip")] = legs[:, None]

@@ -7,6 +7,7 @@ gravity and the floor, so the result obeys them whatever the target does.
 
 from __future__ import annotations
 
+from math import hypot
 from pathlib import Path
 
 import mujoco
@@ -97,8 +98,10 @@ class PulledCharacter:
         self._turned = np.array([joints.index(name) for name in turned])
         axes = model.actuator_gear[torques, 3:]
         self.planner = MovePlanner(body, self._turned, axes, damping)
-        targets = [model.body(f"{prefix}target:{name}").id for name in joints]
-        self._mocap = model.body_mocapid[targets]
+        targets = [model.body(f"{prefix}target:{name}").mocapid[0] for name in joints]
+        # Views of the engine's memory: reading an attribute makes a new one.
+        self._turns = self.data.mocap_quat[targets[0] : targets[-1] + 1]
+        self._ctrl = self.data.ctrl[self._pulls]
         self._palms = body.skeleton.sides("Hand")
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
         # Other characters count as props, which can hit this one.
@@ -239,18 +242,18 @@ class PulledCharacter:
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
-        self.feet.begin(move, stands if carries else None)
         self._pushed = np.zeros(3)
         for part, force, left in self._pushes:
             # A push may end within the frame: scaled, it gives the impulse asked for.
             given = force * min(left / dt, 1.0)
             data.xfrc_applied[part, :3] += given
             self._pushed += given
+        self.feet.begin(move, stands if carries else None)
         self._on_trunk = data.xfrc_applied[self.root_body, :3].copy()
         self._returned = np.zeros(3)
         self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n = move.after[0].size
-        self._forward, data.ctrl[self._pulls][n:] = move.forward[:n], move.forward[n:]
+        self._forward, self._ctrl[n:] = move.forward[:n], move.forward[n:]
         if (loads := self.grasp.loads).any():
             self._forward = self._forward.copy()
             self._forward.reshape(-1, 3)[self._palms, 2] += loads
@@ -267,10 +270,9 @@ class PulledCharacter:
         """Aim the pulls at the point that lies at a share of the move."""
         (before_p, before_q), (after_p, after_q) = self._move.before, self._move.after
         point, n = before_p + share * (after_p - before_p), after_p.size
-        ctrl = self.data.ctrl[self._pulls]
-        ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
+        self._ctrl[:n] = self._stiffness[:n] * point.ravel() + self._forward
         # The engine normalizes these quaternions.
-        self.data.mocap_quat[self._mocap] = before_q + share * (after_q - before_q)
+        self._turns[:] = before_q + share * (after_q - before_q)
 
     def press(self, timestep: float) -> None:
         """Apply the forces of a substep of some length [s]."""
@@ -346,10 +348,13 @@ class PulledCharacter:
             self._limbs.start()
             return False
         pose = self.data.site_xpos[self._sites], self.data.xquat[self._bodies]
+        return self._limbs.step(pose, self._target, dt, self._is_blocked)
+
+    def _is_blocked(self) -> bool:
+        """Whether it touches anything but itself and the floor."""
         touching = self.data.contact.geom
         own, others = self.is_part[touching], self._is_other[touching]
-        blocked = bool((own & others[:, ::-1]).any())
-        return self._limbs.step(pose, self._target, dt, blocked=blocked)
+        return bool((own & others[:, ::-1]).any())
 
     def _place(self, positions: Array, rotations: Array) -> None:
         qpos, root, skeleton = self.data.qpos, self._root_joint, self.body.skeleton
@@ -357,7 +362,7 @@ class PulledCharacter:
         relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
         self.data.qvel[self._speeds] = 0.0
-        self.data.mocap_quat[self._mocap] = rotations
+        self._turns[:] = rotations
         mujoco.mj_kinematics(self.model, self.data)
         self.rise_from_floor()
 
@@ -405,5 +410,4 @@ class PulledCharacter:
 
         No muscle could exert it. 0 where nothing pulls, or the character was reset.
         """
-        force = float(np.linalg.norm(self._external) / self._weight)
-        return 0.0 if self.limp else force
+        return 0.0 if self.limp else hypot(*self._external) / self._weight

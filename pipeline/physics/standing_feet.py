@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 
 from kinefilter.characters.arrays import Flags, Indices
 
@@ -22,13 +21,13 @@ class StandingFeet:
     """
 
     def __init__(self, data: mujoco.MjData, soles: Indices, weight: float) -> None:
-        self._upward, self._soles = data.xfrc_applied[:, 2], soles
+        self._upward, self._soles = data.xfrc_applied[:, 2], soles.tolist()
         self._weight = weight
         self.start()
 
     def start(self) -> None:
         """Reset the state to feet that bear nothing yet."""
-        self._load, self._pressing = np.zeros((2, 2))
+        self._load = [0.0, 0.0]
         self.settle()
 
     def take_over(self, other: StandingFeet) -> None:
@@ -42,18 +41,24 @@ class StandingFeet:
         self._carried = self.lifting = self._weight
 
     def begin(self, move: Move, stands: Flags | None) -> None:
-        """Shift the weight toward the feet that stand (2,); none if that is None."""
-        wanted = np.zeros(2) if stands is None else stands.astype(float)
-        if wanted.all():
-            wanted = np.array([move.left_share, 1.0 - move.left_share])
+        """Shift the weight toward the feet that stand (2,); none if that is None.
+
+        All other forces on the feet have been applied.
+        """
+        wanted = [0.0, 0.0] if stands is None else stands.astype(float).tolist()
+        if all(wanted):
+            wanted = [move.left_share, 1.0 - move.left_share]
         most = move.duration / _LOADING_TIME
-        loads = self._load + (wanted - self._load).clip(-most, most)
-        self._load, self._pressing = np.where(wanted > 0.0, loads, 0.0), np.zeros(2)
+        self._load = [
+            load + min(max(share - load, -most), most) if share > 0.0 else 0.0
+            for load, share in zip(self._load, wanted, strict=True)
+        ]
+        forces = self._upward[self._soles].tolist()
+        self._presses = list(zip(self._soles, self._load, forces, strict=True))
         self._began = self._carried, self.lifting
 
     def begin_again(self) -> None:
         """Return to the state after ``begin``, because the step is taken again."""
-        self._pressing = np.zeros(2)
         self._carried, self.lifting = self._began
 
     def press(self, dt: float) -> None:
@@ -61,6 +66,5 @@ class StandingFeet:
         share = min(dt / _REACTION_TIME, 1.0)
         self._carried += share * (self.lifting - self._carried)
         carried = min(max(self._carried, 0.0), _HARDEST_STEP * self._weight)
-        pressing = self._load * carried
-        self._upward[self._soles] -= pressing - self._pressing
-        self._pressing = pressing
+        for sole, load, force in self._presses:
+            self._upward[sole] = force - load * carried

@@ -9,6 +9,8 @@ through another part of the body hangs on that.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from kinefilter.characters import Body
@@ -18,6 +20,7 @@ from kinefilter.characters.arrays import Array
 _AWAY, _TURNED = np.radians(134.0), np.radians(110.0)
 """Angle [rad] between a segment's direction and its target's, and between their
 rotations, beyond which it is stuck."""
+_LEAST_ALIKE = np.cos(0.5 * _TURNED)
 _OFF = 0.2
 """Distance [m] of a segment's end from its target, in the frame of the root, beyond
 which it is stuck. A hand whose target is inside the body gets nearer than that."""
@@ -45,6 +48,7 @@ class StuckLimbs:
         self._toes = np.array(body.skeleton.sides("Foot"))
         self._ankles = np.array([body.skeleton.parents[toe] for toe in self._toes])
         self._least = np.cos(_TWISTED) * body.lengths[self._toes] ** 2
+        self._least_twist = np.cos(0.5 * joint_range("Foot"))
         self.start()
 
     def start(self) -> None:
@@ -56,8 +60,7 @@ class StuckLimbs:
         pose: tuple[Array, Array],
         target: tuple[Array, Array],
         elapsed: float,
-        *,
-        blocked: bool = False,
+        blocked: Callable[[], bool],
     ) -> bool:
         """Return True if a limb is stuck, ``elapsed`` [s] after the last frame.
 
@@ -66,13 +69,14 @@ class StuckLimbs:
         """
         ends, starts, off = self._ends, self._starts, pose[0] - target[0]
         alike = np.abs(np.vecdot(pose[1][ends], target[1][ends]))
-        turned = bool(alike.min() < np.cos(0.5 * _TURNED))
+        turned = bool(alike.min() < _LEAST_ALIKE)
         off = off[ends] - off[self._root]
-        far = not blocked and bool(np.vecdot(off, off).max() > _OFF**2)
+        far = bool(np.vecdot(off, off).max() > _OFF**2) and not blocked()
         own, wanted = (p[self._toes] - p[self._ankles] for p in (pose[0], target[0]))
-        twists = np.abs(np.vecdot(target[1][self._toes], target[1][self._ankles]))
-        possible = twists >= np.cos(0.5 * joint_range("Foot"))
-        twisted = bool((possible & (np.vecdot(own, wanted) < self._least)).any())
+        feet = np.vecdot(own, wanted) < self._least
+        if twisted := bool(feet.any()):
+            twists = np.abs(np.vecdot(target[1][self._toes], target[1][self._ankles]))
+            twisted = bool((feet & (twists >= self._least_twist)).any())
         if not (turned or far or twisted):  # and so none points away either
             self._lasted[:] = 0.0
             return False

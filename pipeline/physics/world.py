@@ -148,7 +148,7 @@ class World:
     def _advance(self, dt: float) -> None:
         model, data, characters = self.model, self.data, self.characters
         updates, substeps = steps_in(dt)
-        model.opt.timestep = dt / (updates * substeps)
+        model.opt.timestep = step = dt / (updates * substeps)
         limp = sum(character.limp << character.group for character in characters)
         model.opt.disableactuator = self._disabled | limp
         for k in range(updates):
@@ -159,7 +159,7 @@ class World:
                 character.aim(share)
             for _ in range(substeps):
                 for character in characters:
-                    character.press(model.opt.timestep)
+                    character.press(step)
                 mujoco.mj_step(model, data)
                 for character in characters:
                     character.feel()

@@ -120,7 +120,8 @@ class MotionPrior:
             change[..., 0] *= -1.0
         base = unit(found.base + change)
         seen, limb, bones = hidden.seen, hidden.limb, hidden.motion[2]
-        shown = np.isin(np.arange(len(seen.skeleton)), limb.visible)
+        shown = np.zeros(len(seen.skeleton), dtype=np.bool_)
+        shown[list(limb.visible)] = True
         bones = np.where(shown[:, None], bones, np.nan)
         lower = seen.heading.root[hidden.frames, 1] - seen.standing
         likely = self.unseen(seen.skeleton, limb.hidden, bones, lower)

@@ -40,21 +40,20 @@ _BLAS = ThreadpoolController()  # found once, which takes milliseconds
 class Process:
     """A Gaussian process on features, with unit length scales and amplitude."""
 
-    features: Array
     weights: Array
     factor: tuple[Array, bool]
 
     @classmethod
-    def of(cls, features: Array, targets: Array) -> Process:
-        """Fit targets (N, C) at features (N, F)."""
-        matrix = _kernel(features, features)
-        matrix.flat[:: len(matrix) + 1] += _NOISE**2
-        factor = cho_factor(matrix, lower=True)
-        return cls(features, cho_solve(factor, targets), factor)
+    def of(cls, kernel: Array, targets: Array) -> Process:
+        """Fit targets (N, C) of samples with a kernel (N, N) between them."""
+        factor = cho_factor(kernel + _NOISE**2 * np.eye(len(kernel)), lower=True)
+        return cls(cho_solve(factor, targets), factor)
 
-    def predict(self, features: Array) -> Array:
-        """Return the mean times one minus the variance, shape (N, C)."""
-        kernel = _kernel(features, self.features)
+    def predict(self, kernel: Array) -> Array:
+        """Return the mean times one minus the variance, shape (M, C).
+
+        The kernel (M, N) is that between what is asked and the samples.
+        """
         half = solve_triangular(self.factor[0], kernel.T, lower=True)
         variance = 1.0 - np.sum(half**2, axis=0)
         certainty = 1.0 - np.clip(variance, 0.0, 1.0)
@@ -65,6 +64,7 @@ class Process:
 class Recall:
     """What a take shows of the motion of a hidden limb."""
 
+    features: Array  # of the samples of the process
     process: Process | None
     weight: float  # of the process, by its benefit where the limb was seen, in [0, 1]
     momentum: float  # share of its speed that the limb keeps when it is hidden, about 1
@@ -73,7 +73,8 @@ class Recall:
         """Return the directions of hidden segments, shape (W, M, H, 3)."""
         base = found.still + self.momentum * (found.base - found.still)
         if self.process is not None:
-            change = self.weight * self.process.predict(_rows(found.features))
+            kernel = kernel_between(_rows(found.features), self.features)
+            change = self.weight * self.process.predict(kernel)
             base = base + change.reshape(base.shape)
         return unit(base)
 
@@ -140,15 +141,17 @@ def learn(
     targets = targets - momentum * moving
     # With two threads, a matrix this small can take half a second on a busy machine.
     with _BLAS.limit(limits=1, user_api="blas"):
-        weight = _weight(features, targets, begins, ends)
-        process = Process.of(features, targets) if weight > 0.0 else None
-    return Recall(process, weight, momentum)
+        kernel = kernel_between(features, features)
+        weight = _weight(kernel, targets, begins, ends)
+        process = Process.of(kernel, targets) if weight > 0.0 else None
+    return Recall(features, process, weight, momentum)
 
 
-def _weight(features: Array, targets: Array, begins: Indices, ends: Indices) -> float:
+def _weight(kernel: Array, targets: Array, begins: Indices, ends: Indices) -> float:
     """Return the weight, in [0, 1], with which each part is best predicted by the rest.
 
-    The stretches of the samples are those from ``begins`` to before ``ends``, (N,).
+    The kernel (N, N) is that between the samples, whose stretches are those from
+    ``begins`` to before ``ends``, (N,).
     """
     bounds = np.quantile(begins, np.linspace(0.0, 1.0, _FOLDS + 1))
     gains, squares = [], []
@@ -157,10 +160,11 @@ def _weight(features: Array, targets: Array, begins: Indices, ends: Indices) -> 
         if not held_out.any():
             continue
         overlaps = (ends > begins[held_out].min()) & (begins < ends[held_out].max())
-        if (~overlaps).sum() < 2 * _SAMPLES:
+        rest = ~overlaps
+        if rest.sum() < 2 * _SAMPLES:
             continue
-        process = Process.of(features[~overlaps], targets[~overlaps])
-        predicted = process.predict(features[held_out])
+        process = Process.of(kernel[np.ix_(rest, rest)], targets[rest])
+        predicted = process.predict(kernel[np.ix_(held_out, rest)])
         gains.extend(np.sum(predicted * targets[held_out], axis=1))
         squares.extend(np.sum(predicted * predicted, axis=1))
     total = float(np.sum(squares))
@@ -172,7 +176,8 @@ def _weight(features: Array, targets: Array, begins: Indices, ends: Indices) -> 
     return float(np.clip((np.sum(gains) - error) / total, 0.0, 1.0))
 
 
-def _kernel(a: Array, b: Array) -> Array:
+def kernel_between(a: Array, b: Array) -> Array:
+    """Return the kernel between features (A, F) and (B, F), shape (A, B)."""
     return np.exp(-0.5 * _squares(a, b))
 
 

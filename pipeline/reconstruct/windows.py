@@ -140,7 +140,7 @@ class BridgedMotion:
     def bones(self, frames: Indices) -> Array:
         """Return all segments as vectors [m] in frames (...), shape (..., J, 3)."""
         positions = self.positions[frames]
-        return np.asarray(positions - positions[..., self.skeleton.parents, :])
+        return np.asarray(positions - positions.take(self.skeleton.parents, -2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,7 @@ def describe(hidden: Stretches) -> Descriptions:
     final = len(seen.positions) - 1
 
     def pointing(which: Indices) -> Array:
-        return _flat(seen.directions[which][..., list(limb.hidden), :])
+        return _flat(seen.directions[which].take(limb.hidden, -2))
 
     change, velocity, bones = visible_motion(hidden, limb.visible)
     unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
@@ -265,7 +265,7 @@ def describe(hidden: Stretches) -> Descriptions:
     features += [elapsed[..., None] / _TIME for elapsed in hidden.time[: 1 + ahead]]
     if frames.shape[1] > 1:
         features = [np.broadcast_to(f, (*frames.shape, f.shape[-1])) for f in features]
-    truth = seen.directions[frames][..., list(limb.hidden), :]
+    truth = seen.directions[frames].take(limb.hidden, -2)
     return Descriptions(np.concatenate(features, axis=2), base, still, truth)
 
 
@@ -273,8 +273,7 @@ def visible_motion(
     hidden: Stretches, segments: tuple[int, ...]
 ) -> tuple[Array, Array, Array]:
     """Return ``Stretches.motion`` of some segments as rows, (W, M, 3 S)."""
-    chosen = list(segments)
-    change, velocity, vectors = (_flat(v[..., chosen, :]) for v in hidden.motion)
+    change, velocity, vectors = (_flat(v.take(segments, -2)) for v in hidden.motion)
     return change, velocity, vectors
 
 

@@ -60,10 +60,9 @@ class _Aim(Stage):
         """Aim, but leave what was pinned by hand where it is."""
         before, turns = draft.positions, draft.rotations
         self._aim(draft, chains, filters)
-        firm = draft.bone_weights[..., chains.joints].max(axis=-2)
-        shares = ((firm - 1.0) / (PLANTED - 1.0)).clip(0.0, 1.0)
-        for k in np.flatnonzero(shares.reshape(-1, firm.shape[-1]).any(axis=0)):
-            share, start = shares[..., k, None], int(chains.starts[k])
+        firm = draft.bone_weights[..., chains.joints].max(axis=-2) - 1.0
+        for k, start in enumerate(chains.starts.tolist() if firm.max() > 0.0 else ()):
+            share = (firm[..., k, None] / (PLANTED - 1.0)).clip(0.0, 1.0)
             moved = np.s_[..., [start, *draft.skeleton.descendants(start)], :]
             here, there = draft.positions[moved], before[moved]
             draft.positions[moved] = here + share[..., None] * (there - here)

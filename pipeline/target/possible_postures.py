@@ -10,8 +10,7 @@ import numpy as np
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.rotations import unit, wrapped
-from kinefilter.characters.skeleton import SIDES
+from kinefilter.characters.rotations import cross, unit, wrapped
 from kinefilter.pipeline.failures.limb_failures import LIMBS
 from kinefilter.retarget import HeadingFrame
 
@@ -25,18 +24,16 @@ that points along it is not known, and is known."""
 
 def possible_knees(positions: Array, skeleton: Skeleton) -> Array:
     """Return joints [m] (T, J, 3) with knees that are hardly behind their leg."""
-    moved = positions.copy()
-    left_hip, right_hip = (positions[:, hip] for hip in skeleton.hips)
-    left = unit(left_hip - right_hip)
-    for side in SIDES:
-        hip, knee, ankle = (skeleton.index(f"{p}{side}") for p in LIMBS["leg"])
-        front = np.cross(unit(positions[:, ankle] - positions[:, hip]), left)
-        sine = np.linalg.norm(front, axis=1)
-        front = unit(front)
-        ahead = np.vecdot(positions[:, knee] - positions[:, hip], front)
-        known = ((sine - _SIDEWAYS) / (_FACED - _SIDEWAYS)).clip(0.0, 1.0)
-        change = known * np.maximum(-_BEHIND - ahead, 0.0)
-        moved[:, knee] += change[:, None] * front
+    hips, knees, ankles = (skeleton.sides(part) for part in LIMBS["leg"])
+    top, moved = positions[:, hips], positions.copy()
+    left = unit(top[:, :1] - top[:, 1:])
+    front = cross(unit(positions[:, ankles] - top), left)
+    sine = np.sqrt(np.vecdot(front, front))
+    front = unit(front)
+    ahead = np.vecdot(positions[:, knees] - top, front)
+    known = ((sine - _SIDEWAYS) / (_FACED - _SIDEWAYS)).clip(0.0, 1.0)
+    change = known * np.maximum(-_BEHIND - ahead, 0.0)
+    moved[:, knees] += change[..., None] * front
     return moved
 
 
@@ -57,7 +54,8 @@ def possible_trunk(positions: Array, body: Body) -> Array:
     """
     skeleton = body.skeleton
     pairs = [list(skeleton.hips), skeleton.sides("Shoulder")]
-    lines = positions[:, pairs][:, :, 0] - positions[:, pairs][:, :, 1]
+    ends = positions[:, pairs]
+    lines = ends[:, :, 0] - ends[:, :, 1]
     rest = body.rest_positions[pairs]
     usual = np.linalg.norm(rest[:, 0] - rest[:, 1], axis=1)
     trunk = positions[:, skeleton.girdle] - positions[:, skeleton.root]
