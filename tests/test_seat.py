@@ -26,7 +26,7 @@ def test_a_chair_bears_the_weight_and_the_pulls_add_little(
         forces.append(np.median(clip.external_force[sits]))
         hips.append(height[sits].min())
     assert forces[0] < 0.5
-    assert forces[1] > 4.0 * forces[0]
+    assert forces[1] > 2.0 * forces[0]
     assert abs(hips[0] - hips[1]) < 0.05  # on the same chair
 
 
