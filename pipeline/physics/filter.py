@@ -130,8 +130,7 @@ class _Cue:
     def move(self, k: int, dt: float) -> Move:
         """Return the move to a time stamp that comes ``dt`` [s] after the last."""
         character, after = self.character, int(self._after[k])
-        changes = character.compliance is not None or character.seat.exists
-        if not changes and self._is_own[k] and self._is_own[k - 1]:
+        if character.keeps_target and self._is_own[k] and self._is_own[k - 1]:
             return self._own_move(after)
         gained = np.where(self._is_own[k], self._accelerations[after], 0.0)
         seen = None if self._person.seen is None else self._person.seen[after]

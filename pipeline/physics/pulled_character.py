@@ -306,6 +306,12 @@ class PulledCharacter:
         self._external[:] = 0.0
 
     @property
+    def keeps_target(self) -> bool:
+        """Whether nothing changes its targets: no hits, props for hands, or seats."""
+        changed = self.compliance is not None or self.grasp.props or self.seat.exists
+        return not changed
+
+    @property
     def _yields(self) -> bool:
         """Whether it may be away from its target: limp, fallen or returning."""
         return self.limp or not (self.compliance is None or self.compliance.follows)

@@ -200,16 +200,15 @@ class SharedScene(Playable):
         """Return where a person touches the floor, props and other people."""
         character, found = person.character, dict[tuple[int, str], list[Array]]()
         model, data = character.model, character.data
-        wrench = np.zeros(6)
-        for k, geoms in enumerate(data.contact.geom):
-            joints = character.joint_of[model.geom_bodyid[geoms]]
-            if (joints < 0).sum() != 1:  # its own body, or nothing of it
-                continue
+        wrench, geoms = np.zeros(6), data.contact.geom
+        joints = character.joint_of[model.geom_bodyid[geoms]]
+        own = joints >= 0
+        for k in np.flatnonzero(own.sum(axis=1) == 1).tolist():
             mujoco.mj_contactForce(model, data, k, wrench)
             if (force := float(np.linalg.norm(wrench[:3]))) > 0.0:
-                name = self._name(int(geoms[joints.argmin()]))
+                name = self._name(int(geoms[k][~own[k]][0]))
                 point = np.append(data.contact.pos[k], force)
-                found.setdefault((int(joints.max()), name), []).append(point)
+                found.setdefault((int(joints[k].max()), name), []).append(point)
         return tuple(
             Contact(
                 joint,

@@ -236,7 +236,7 @@ class Reproduce:
 
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
     methods-known-people, presets, failures, reliability. Things that are held:
-    held-box, dribbled-ball. Speed: speed, million-postures. The papers on simulated
+    held-box, dribbled-ball; that are sat on: chairs. Speed: speed, million-postures. The papers on simulated
     takes: shum-tables-1-2, shum-table-3, shum-table-4, shum-figure-8, liu-figure-3,
     liu-figure-7, liu-figure-8, liu-table-2, liu-table-3, chiang-figure-5,
     chiang-figure-7, wang-table-1; on recorded takes as well: liu-table-4, liu-table-5,

@@ -24,7 +24,7 @@ from . import (
     tracker_studies,
     wang,
 )
-from .cleaned_takes import cleaned_takes, dribbled_ball, held_box
+from .cleaned_takes import chairs, cleaned_takes, dribbled_ball, held_box
 from .speed import million_postures, speed
 from .study import Options, Study, as_table
 from .study_takes import recordings_folder
@@ -43,6 +43,7 @@ _WITH_QUICK_SIZES: tuple[tuple[Callable[..., Study], dict[str, int]], ...] = (
     (detection.reliability, {"takes": 1, "movements": 1}),
     (held_box, {"count": 1}),
     (dribbled_ball, {"count": 1}),
+    (chairs, {"count": 1}),
     (speed, {"rounds": 1}),
     (million_postures, {"values": 2, "people": 1}),
     (shum.shum_tables_1_2, {"people": 1, "takes": 1}),

@@ -23,6 +23,7 @@ from kinefilter.characters.rotations import (
 )
 from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.pipeline.physics import world
+from kinefilter.pipeline.physics.seat import Seat
 from kinefilter.pipeline.progress import over
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.scenes.library import MOTIONS
@@ -162,6 +163,7 @@ _MOTIONS = {"lift_box": (0.0, 0.25), "store_box": (0.55, 0.7)}
 """Least and greatest height [m] of the box's center where it is to be put down: on the
 floor, or on the table, upright or on its side."""
 _OFTEN = 5  # dribbles
+_SEATED = (("chair", "sit_to_stand"), ("chair", "chair"), ("office", "office"))
 _MEANS = ("peak", "force", "skate", "jitter")
 
 
@@ -221,6 +223,43 @@ def dribbled_ball(options: Options, *, count: int = 20) -> Study:
     return Study(title, header, rows, [Panel(*axes, panel)])
 
 
+def chairs(options: Options, *, count: int = 10) -> Study:
+    """Measure the pulls on performers who sit in a scene, with seats that bear or not.
+
+    Physics gets the performance as it was, or as a Kinect v2 saw it. Without seats, the
+    target stays inside of what it meets.
+    """
+    rows: list[list[Cell]] = []
+    panel: list[Series] = []
+    for scene, motion in _SEATED:
+        for name, takes in _mimed(options, scene, motion, count):
+            for bears in (True, False):
+                row = f"{motion}, {name}" if bears else f"{motion}, {name}, no seat"
+                runs = options.progress(row, count)
+                never = mock.patch.object(Seat, "_is_borne", return_value=False)
+                with nullcontext() if bears else never:
+                    results = [clean(takes[k], CleanConfig(scene=scene)) for k in runs]
+                forces = [result.clip.external_force for result in results]
+                means = sorted(float(force.mean()) for force in forces)
+                panel.append(
+                    Series(row, np.linspace(0.0, 100.0, count).tolist(), means)
+                )
+                most = float(np.mean([np.quantile(force, 0.95) for force in forces]))
+                figures = [result.stages["physics"] for result in results]
+                jitter = float(np.mean([figure.jitter for figure in figures]))
+                slide = float(
+                    np.mean([figure.skate_mm_per_frame for figure in figures])
+                )
+                rows.append([row, count, float(np.mean(means)), most, jitter, slide])
+    header = (
+        *("performances", "takes", "force_body_weights", "force_95_body_weights"),
+        *("jitter_m_per_s3", "skate_mm_per_frame"),
+    )
+    title = f"{count} performers sit in scenes with a chair"
+    axes = "performances, %", "external force, body weights"
+    return Study(title, header, rows, [Panel(*axes, panel)])
+
+
 def count_dribbles(result: CleanResult) -> int:
     """Return how often the ball of a clip goes from hand to floor to hand."""
     clip = result.clip
@@ -240,15 +279,22 @@ def _performances(
     options: Options, scene: str, motion: str, count: int
 ) -> Iterator[tuple[str, list[CleanResult]]]:
     """Yield the name of a row, and what comes of all performances."""
-    first = _FIRST_MIME + 1000 * options.seed
-    simulated = options.progress(motion, count)
-    pairs = [simulate(scene, motion, seed=first + k) for k in simulated]
-    seen, known = [pair.take for pair in pairs], list(map(truth_of, pairs))
-    for name, takes in (("as performed", known), ("seen by a Kinect", seen)):
+    for name, takes in _mimed(options, scene, motion, count):
         for holds in (True, False):
             row = f"{motion}, {name}" if holds else f"{motion}, {name}, not held"
             runs = options.progress(row, count)
             yield row, [cleaned_in(scene, takes[k], holds=holds) for k in runs]
+
+
+def _mimed(
+    options: Options, scene: str, motion: str, count: int
+) -> Iterator[tuple[str, list[Take]]]:
+    """Yield the performances as they were, then as seen, with the name of either."""
+    first = _FIRST_MIME + 1000 * options.seed
+    simulated = options.progress(motion, count)
+    pairs = [simulate(scene, motion, seed=first + k) for k in simulated]
+    yield "as performed", list(map(truth_of, pairs))
+    yield "seen by a Kinect", [pair.take for pair in pairs]
 
 
 def cleaned_in(scene: str, take: Take, *, holds: bool) -> CleanResult:
