@@ -236,13 +236,13 @@ class Reproduce:
 
     Studies of takes and of marker mocap: cleaned-takes, methods-new-people,
     methods-known-people, presets, failures, reliability. Things that are held:
-    held-box, dribbled-ball; that are sat on: chairs. Speed: speed, million-postures. The papers on simulated
-    takes: shum-tables-1-2, shum-table-3, shum-table-4, shum-figure-8, liu-figure-3,
-    liu-figure-7, liu-figure-8, liu-table-2, liu-table-3, chiang-figure-5,
-    chiang-figure-7, wang-table-1; on recorded takes as well: liu-table-4, liu-table-5,
-    chiang-table-1, chiang-tables-2-3, wang-figure-1. Trackers of the virtual Kinect
-    (Liu 2016, section 5.4): tracker-errors, tracker-lessons. To have people rate clips,
-    as in figure 6 of Shum and of Liu, use kinefilter rate.
+    held-box, dribbled-ball; that are sat on: chairs. Speed: speed, million-postures.
+    The papers on simulated takes: shum-tables-1-2, shum-table-3, shum-table-4,
+    shum-figure-8, liu-figure-3, liu-figure-7, liu-figure-8, liu-table-2, liu-table-3,
+    chiang-figure-5, chiang-figure-7, wang-table-1; on recorded takes as well:
+    liu-table-4, liu-table-5, chiang-table-1, chiang-tables-2-3, wang-figure-1. Trackers
+    of the virtual Kinect (Liu 2016, section 5.4): tracker-errors, tracker-lessons. To
+    have people rate clips, as in figure 6 of Shum and of Liu, use kinefilter rate.
 
     Figures that README states are compared with the measured ones; the exit code is 1
     if one does not hold. With --all, every study and animation is made, in over an hour

@@ -231,6 +231,7 @@ def chairs(options: Options, *, count: int = 10) -> Study:
     """
     rows: list[list[Cell]] = []
     panel: list[Series] = []
+    shares = np.linspace(0.0, 100.0, count).tolist()
     for scene, motion in _SEATED:
         for name, takes in _mimed(options, scene, motion, count):
             for bears in (True, False):
@@ -239,18 +240,9 @@ def chairs(options: Options, *, count: int = 10) -> Study:
                 never = mock.patch.object(Seat, "_is_borne", return_value=False)
                 with nullcontext() if bears else never:
                     results = [clean(takes[k], CleanConfig(scene=scene)) for k in runs]
-                forces = [result.clip.external_force for result in results]
-                means = sorted(float(force.mean()) for force in forces)
-                panel.append(
-                    Series(row, np.linspace(0.0, 100.0, count).tolist(), means)
-                )
-                most = float(np.mean([np.quantile(force, 0.95) for force in forces]))
-                figures = [result.stages["physics"] for result in results]
-                jitter = float(np.mean([figure.jitter for figure in figures]))
-                slide = float(
-                    np.mean([figure.skate_mm_per_frame for figure in figures])
-                )
-                rows.append([row, count, float(np.mean(means)), most, jitter, slide])
+                figures = np.transpose([_figures_seated(result) for result in results])
+                panel.append(Series(row, shares, sorted(figures[0].tolist())))
+                rows.append([row, count, *figures.mean(axis=1).tolist()])
     header = (
         *("performances", "takes", "force_body_weights", "force_95_body_weights"),
         *("jitter_m_per_s3", "skate_mm_per_frame"),
@@ -258,6 +250,12 @@ def chairs(options: Options, *, count: int = 10) -> Study:
     title = f"{count} performers sit in scenes with a chair"
     axes = "performances, %", "external force, body weights"
     return Study(title, header, rows, [Panel(*axes, panel)])
+
+
+def _figures_seated(result: CleanResult) -> list[float]:
+    force, quality = result.clip.external_force, result.stages["physics"]
+    most = float(np.quantile(force, 0.95))
+    return [float(force.mean()), most, quality.jitter, quality.skate_mm_per_frame]
 
 
 def count_dribbles(result: CleanResult) -> int:
