@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from os.path import realpath
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from rich.console import Console
 
@@ -28,6 +28,13 @@ if TYPE_CHECKING:
 # File names may contain brackets and colons, which rich would interpret.
 out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
+
+
+def _unread() -> NoReturn:
+    raise BrokenPipeError  # which cli treats alike for all output; rich exits with 1
+
+
+vars(out)["on_broken_pipe"] = vars(err)["on_broken_pipe"] = _unread
 
 Skeletons = Literal["kinect_v1", "kinect_v2"]
 
