@@ -284,6 +284,7 @@ def test_people_in_front_of_a_sensor_play_on_the_page() -> None:
         (["--port", "-1"], "--port -1"),
         (["--take", "a.csv", "--take", "b.csv", "--body", "all"], "single --take"),
         (["--take", "a.csv", "--in", UDP], "only one of them"),
+        (["--height", "1.8"], "give --in"),
         (["--in", "http://127.0.0.1:1"], "not an address"),
     ],
 )

@@ -80,6 +80,8 @@ class Play:
         check_address(self.bind, self.port)
         if self.sources:
             return self._live()
+        if self.height is not None:
+            raise InputError("--height is of the people before a sensor; give --in")
         check_writable(self.save)
         keep(self.save, *self.take)
         if self.body == "all" and len(self.take) > 1:
