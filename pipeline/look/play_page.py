@@ -83,11 +83,16 @@ class PlayPage(ServedPage):
         limp = bool(self._acted_on) and all(c.limp for c in self._acted_on)
         return {"Let go": "Take hold"} if limp else {}
 
+    @property
+    def _framed(self) -> Clip:
+        """What the camera shows at first."""
+        return _still(self._ground.characters)
+
     def _draw_scene(self) -> None:
         server, ground = self._server, self._ground
         with server.atomic():
             server.scene.reset()
-            set_stage(server, Drawing(_still(ground.characters)))
+            set_stage(server, Drawing(self._framed))
             self._figures: list[tuple[Any, Any]] = []  # what poses skin and grips
             for number, character in enumerate(ground.characters):
                 end = str(number + 1) if number else ""
@@ -152,7 +157,8 @@ class PlayPage(ServedPage):
         return number, chest, way if level > 0.01 else np.array([0.0, 0.0, -1.0])
 
     def _drag(self, event: Any, number: int = 0) -> None:
-        if event.phase == "end" or event.instance_index is None:
+        gone = number >= len(self._ground.characters)
+        if gone or event.phase == "end" or event.instance_index is None:
             self._ground.release()
             return
         segments = self._ground.characters[number].body.skeleton.segments

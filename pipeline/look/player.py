@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import viser
 
-from kinefilter.characters import TrackingName
+from kinefilter.characters import Clip, TrackingName
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.physics.playground import RATE, Playground
@@ -69,6 +69,10 @@ class Player(PlayPage):
             everyone = ("all", *map(str, range(1, count + 1)))
             chosen = gui.add_dropdown("character", everyone, initial_value="all")
             self._on(chosen.on_update, self._choose)
+
+    @property
+    def _framed(self) -> Clip:
+        return self._playground.motion
 
     def _status_rows(self) -> list[tuple[str, str]]:
         rows = [

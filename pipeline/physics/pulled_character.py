@@ -162,6 +162,7 @@ class PulledCharacter:
         if self.compliance is not None:
             self.compliance, self._was_limp = other.compliance, other._was_limp
         self.grasp.take_over(other.grasp)
+        self.seat.take_over(other.seat)
         self.feet.take_over(other.feet)
         self.momentum.take_over(other.momentum)
 

@@ -61,6 +61,10 @@ class Seat:
         """Reset the state to a body that nothing bears."""
         self._shift, self._since = np.zeros(3), np.inf
 
+    def take_over(self, other: Seat) -> None:
+        """Go on from what bears the same body in another world."""
+        self._shift, self._since = other._shift, other._since
+
     def target(
         self,
         positions: Array,
