@@ -57,7 +57,11 @@ def _table(file: str, *headings: str) -> dict[str, list[str]]:
         ("README.md", ["Figures"]),
         (
             "pipeline/lab/RESULTS.md",
-            ["Clips, reliability, failures, papers, speed", "Things that are held"],
+            [
+                "Clips, reliability, failures, papers, speed",
+                "Things that are held",
+                "Seats",
+            ],
         ),
         ("pipeline/lab/DEPARTURES.md", ["Presets on recorded people", "Trackers"]),
     ],
