@@ -27,6 +27,7 @@ _THREE = os.environ.get("KINEFILTER_THREE", "")
 _PLACES = """
 const person = people.get(arguments[0]), places = {};
 if (!person) return null;
+person.updateMatrixWorld(true);
 person.traverse((bone) => {
     const { elements } = bone.matrixWorld;
     if (bone.isBone) places[bone.name] = elements.slice(12, 15);
@@ -139,7 +140,6 @@ def test_the_example_page_draws_people_where_they_are_and_pushes_them(
                 sender.send(sample_frame(sent, "1", "2"))
                 sent += 1
                 drawn = await asked(_PLACES, "2")
-            await asyncio.sleep(0.5)  # for the page to draw the last
             places, positions = await asked(_PLACES, "2")
             for name, position in zip(KINECT_V1.joints, positions, strict=True):
                 assert np.abs(np.subtract(places[name], position)).max() < 1e-3

@@ -28,6 +28,7 @@ from .viewer_server import Action, ServedPage, table_html
 _STATUS_EVERY = 0.2  # s between two updates of the panel's text
 _TO_GRAB = 1.3  # radius in which the pointer grabs a segment, relative to its own
 _FROM_CAMERA = 0.4  # m in front of the camera, where balls start
+_FAR = 100.0  # m: balls that wait there would be specks on the horizon
 _AROUND = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # m: where people may come
 _HELP = (
     ("drag a character", "pull and push it"),
@@ -119,6 +120,8 @@ class PlayPage(ServedPage):
             places = self._ground.scene_props.now if characters else ((), ())
             for frame, place, turn in zip(self._moving, *places, strict=True):
                 frame.position, frame.wxyz = place, turn
+                if frame.visible != (near := bool(np.abs(place).max() < _FAR)):
+                    frame.visible = near
             if perf_counter() - self._status_shown > _STATUS_EVERY:
                 self._status_shown, labels = perf_counter(), self._labels()
                 rows = self._status_rows()
