@@ -1,5 +1,6 @@
 """A character that follows a Kinect frame by frame, for games."""
 
+from collections import deque
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from .physics.pulled_character import PulledCharacter
 from .physics.shared_scene import Contact, SharedPhysics, SharedScene
 from .physics.stage import Physics
 from .upright import Turn
+
+_LATEST, _TOO_MANY = 30, 10  # frames, and impossible ones among them. Guesses
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +91,7 @@ class Avatar:
         """Reset: the character appears where the next frame is."""
         self.cleaner.start(self.body, self.measured)
         self._found: Draft | None = None
+        self._ignored = deque[bool]([], maxlen=_LATEST)
         physics = self.cleaner.stages[-1]
         assert isinstance(physics, Physics | SharedPhysics)
         self._stage = physics
@@ -102,6 +106,7 @@ class Avatar:
         an InputError for a wrong shape or a time that does not increase.
         """
         self._found = self.cleaner.step(positions, time, state)
+        self._ignored.append(self._found.impossible)
         return self.pose
 
     @property
@@ -140,8 +145,12 @@ class Avatar:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user on how the sensor is turned."""
-        return self.turn.notes()
+        """Notes for the user: how the sensor is turned, and frames without a body."""
+        notes = self.turn.notes()
+        if sum(self._ignored) >= _TOO_MANY:
+            nobody = f"{sum(self._ignored)} of the last {_LATEST} frames have no body"
+            notes += (f"{nobody} of human size; positions are to be in meters",)
+        return notes
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push the part of the body that ends at a joint for the next seconds.

@@ -10,7 +10,7 @@ import pytest
 from known_motions import standing
 from numpy.typing import NDArray
 
-from kinefilter import Avatar, Pose
+from kinefilter import Avatar, Pose, read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
@@ -19,6 +19,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.cli import main
+from kinefilter.scenes import SAMPLE
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -94,6 +95,16 @@ def test_in_a_scene_the_person_begins_at_its_origin() -> None:
     pose = follow(Avatar(BODY, "chair", floor=0.0), frames)[-1]
     root = pose.positions[KINECT_V1.root]
     np.testing.assert_allclose(root[[0, 2]], 0.0, atol=0.02)
+
+
+def test_a_performer_in_millimeters_is_told() -> None:
+    take = read_take(SAMPLE)
+    for scale, noted in ((1.0, False), (1000.0, True)):
+        avatar = Avatar(standard_body(take.skeleton))
+        for row in range(40):
+            seen = scale * take.positions[row]
+            avatar.step(seen, float(take.time[row]), take.state[row])
+        assert ("meters" in " ".join(avatar.notes)) is noted
 
 
 def test_wrong_frames_are_refused() -> None:
