@@ -1,9 +1,9 @@
 """A character that follows a Kinect frame by frame, for games."""
 
-from collections import deque
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, Tracking, TrackingName
@@ -18,7 +18,7 @@ from .physics.shared_scene import Contact, SharedPhysics, SharedScene
 from .physics.stage import Physics
 from .upright import Turn
 
-_LATEST, _TOO_MANY = 30, 10  # frames, and impossible ones among them. Guesses
+_FARTHEST = 100.0  # m: no sensor that tracks people sees that far
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Avatar:
         """Reset: the character appears where the next frame is."""
         self.cleaner.start(self.body, self.measured)
         self._found: Draft | None = None
-        self._ignored = deque[bool]([], maxlen=_LATEST)
+        self._farthest = 0.0  # from the sensor, so far [m]
         physics = self.cleaner.stages[-1]
         assert isinstance(physics, Physics | SharedPhysics)
         self._stage = physics
@@ -106,7 +106,8 @@ class Avatar:
         an InputError for a wrong shape or a time that does not increase.
         """
         self._found = self.cleaner.step(positions, time, state)
-        self._ignored.append(self._found.impossible)
+        far = np.abs(np.asarray(positions, dtype=float))
+        self._farthest = float(np.nanmax(far, initial=self._farthest))
         return self.pose
 
     @property
@@ -145,11 +146,11 @@ class Avatar:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: how the sensor is turned, and frames without a body."""
+        """Notes for the user: how the sensor is turned, and wrong units."""
         notes = self.turn.notes()
-        if sum(self._ignored) >= _TOO_MANY:
-            nobody = f"{sum(self._ignored)} of the last {_LATEST} frames have no body"
-            notes += (f"{nobody} of human size; positions are to be in meters",)
+        if self._farthest > _FARTHEST:
+            far = f"a joint was {self._farthest:.0f} m away from the sensor"
+            notes += (f"{far}; give positions in meters",)
         return notes
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
