@@ -379,7 +379,7 @@ def _small_and_ended(*, alone: bool) -> Iterator[None]:
         (database_build, "MOTIONS", MOTIONS[:2]),
         (training, "_SIMULATED", 2),
         (bench, "_TAKES_PER_CORE", 1),
-        (studies.output, "make_pictures", lambda *_, **__: ()),
+        (studies.study, "make_pictures", lambda *_, **__: ()),
         *(((batch_run, "open_crew", Here),) if alone else ()),
     )
     with ExitStack() as stack:
