@@ -75,6 +75,28 @@ def test_what_is_held_and_who_fell_stay_so_when_somebody_comes(tmp_path: Path) -
     assert min(heights[98:]) > 1.2
 
 
+def test_a_push_goes_on_when_somebody_else_leaves() -> None:
+    def moved(*, company: bool) -> Array:
+        scene = SharedScene("basic", TRACKINGS["game"])
+        first, pushed = Avatar(BODY, scene), Avatar(BODY, scene)
+        chests = []
+        for row in range(60):
+            if company and row < 35:
+                first.step(BODY.rest_positions - np.array([3.0, 0.0, 0.0]), row / 30.0)
+            if row == 35:
+                first.leave()
+            pushed.step(BODY.rest_positions, row / 30.0)
+            if row == 30:
+                pushed.push(CHEST, [0.0, 0.0, 250.0], 0.5)
+            scene.advance()
+            chests.append(pushed.pose.positions[KINECT_V1.girdle])
+        return np.array(chests) - chests[29]
+
+    alone, beside = moved(company=False), moved(company=True)
+    assert np.abs(alone).max() > 0.05
+    np.testing.assert_allclose(beside, alone, atol=1e-3)
+
+
 def test_two_people_in_one_place_push_each_other_apart() -> None:
     scene = SharedScene("basic", TRACKINGS["game"])
     people = [Avatar(BODY, scene, name=name) for name in ("anna", "ben")]

@@ -17,8 +17,8 @@ from kinefilter.characters.rotations import continuous, slerp
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
-from .moves import Move
-from .pulled_character import PulledCharacter, check_target
+from .moves import Move, check_target
+from .pulled_character import PulledCharacter
 from .scene_props import SceneProps
 
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body

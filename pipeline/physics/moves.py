@@ -7,13 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import Body
+from kinefilter.characters import Body, InputError
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
 _UP = np.array([0.0, 0.0, 1.0])
+
+
+def check_target(positions: Array, rotations: Array) -> None:
+    """Raise an InputError if a target, or one of several, is not finite."""
+    # A single NaN would spoil every later step.
+    if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
+        raise InputError("the target is not finite; correct the frame or skip it")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kinefilter.characters import Body, InputError, Tracking
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
-from kinefilter.characters.arrays import Array, Flags, as_number, as_numbers
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.humanoid import (
     FLOOR_BIT,
     PULLS,
@@ -32,7 +32,8 @@ from kinefilter.pipeline.target.floor import clearances, floor_penetration
 from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
 from .grasp import Grasp
 from .momentum import Momentum
-from .moves import Move, MovePlanner
+from .moves import Move, MovePlanner, check_target
+from .pushes import Pushes
 from .seat import Seat
 from .standing_feet import StandingFeet
 from .stuck_limbs import StuckLimbs
@@ -41,13 +42,6 @@ from .world import World
 _LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
-
-
-def check_target(positions: Array, rotations: Array) -> None:
-    """Raise an InputError if a target, or one of several, is not finite."""
-    # A single NaN would spoil every later step.
-    if not (np.isfinite(positions).all() and np.isfinite(rotations).all()):
-        raise InputError("the target is not finite; correct the frame or skip it")
 
 
 class PulledCharacter:
@@ -145,7 +139,7 @@ class PulledCharacter:
         for part in (self.feet, self.momentum, self._limbs, self.seat):
             part.start()
         self.grasp.start(props_stay=not reset_props)
-        self._pushes: list[tuple[int, Array, float]] = []
+        self._pushes = Pushes()
         if self.compliance is not None:
             self.limp &= not self.compliance.fallen
             self._was_limp = self.limp
@@ -161,10 +155,8 @@ class PulledCharacter:
         self._pushes, self.limp, self._limbs = other._pushes, other.limp, other._limbs
         if self.compliance is not None:
             self.compliance, self._was_limp = other.compliance, other._was_limp
-        self.grasp.take_over(other.grasp)
-        self.seat.take_over(other.seat)
-        self.feet.take_over(other.feet)
-        self.momentum.take_over(other.momentum)
+        for part in ("grasp", "seat", "feet", "momentum"):
+            getattr(self, part).take_over(getattr(other, part))
 
     def push(self, part: str, force: ArrayLike, seconds: float) -> None:
         """Push the part of the body that ends at a joint for the next seconds.
@@ -172,12 +164,7 @@ class PulledCharacter:
         The force [N], world frame, shape (3,), acts on the part's center of mass.
         Raises InputError if there is no such joint, or force or time is not valid.
         """
-        body = int(self._bodies[self.body.skeleton.index(part)])
-        pushed = as_numbers(force, "the force of a push [N]", (3,), finite=True)
-        lasting = as_number(seconds, "the duration of a push [s]")
-        if not 0.0 <= lasting < np.inf:
-            raise InputError(f"a push lasts {lasting:g} s; give 0 or more, and finite")
-        self._pushes.append((body, to_mujoco(pushed.astype(float)), lasting))
+        self._pushes.add(self.body.skeleton.index(part), force, seconds)
 
     def step(
         self,
@@ -221,10 +208,9 @@ class PulledCharacter:
             self.grasp.start()
             self.seat.start()
         else:
-            if self.seat.exists:
-                pulled, held = from_mujoco(self._external), self.grasp.held
-                target = positions, rotations, dt, pulled, held
-                positions, rotations = self.seat.target(*target)
+            pulled, held = from_mujoco(self._external), self.grasp.held
+            target = positions, rotations, dt, pulled, held
+            positions, rotations = self.seat.target(*target)
             positions, rotations = self.grasp.target(positions, rotations, dt, seen)
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt
@@ -243,16 +229,10 @@ class PulledCharacter:
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
         data.xfrc_applied[self._bodies] = 0.0
-        self._pushed = np.zeros(3)
-        for part, force, left in self._pushes:
-            # A push may end within the frame: scaled, it gives the impulse asked for.
-            given = force * min(left / dt, 1.0)
-            data.xfrc_applied[part, :3] += given
-            self._pushed += given
+        self._pushed = self._pushes.apply(data, self._bodies, dt)
         self.feet.begin(move, stands if carries else None)
         self._on_trunk = data.xfrc_applied[self.root_body, :3].copy()
         self._returned = np.zeros(3)
-        self._pushes = [(p, f, left - dt) for p, f, left in self._pushes if left > dt]
         n = move.after[0].size
         self._forward, self._ctrl[n:] = move.forward[:n], move.forward[n:]
         if (loads := self.grasp.loads).any():
@@ -321,8 +301,8 @@ class PulledCharacter:
         self, gives: Compliance, positions: Array, rotations: Array, dt: float
     ) -> tuple[Array, Array]:
         """Return the target as changed by hits, and scale the pulls."""
-        for part, force, left in self._pushes:
-            gives.hit(self.joint_of[part], from_mujoco(force) * min(left, dt))
+        for joint, impulse in self._pushes.impulses(dt):
+            gives.hit(joint, from_mujoco(impulse))
         speed = float(np.linalg.norm(self.data.qvel[self._speeds][:3]))
         self.limp = self.limp and not gives.can_rise(dt, speed)
         if self._was_limp and not self.limp:

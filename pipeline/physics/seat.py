@@ -1,9 +1,9 @@
-"""A seat or a wall that bears the body, whose target would be inside of it.
+"""Seats and walls, which bear a body whose target is inside of them.
 
-The seat of a performer may be lower than that of the scene, or farther back. Pulls that
-hold the body against it would press with many times its weight. So where something
-stops trunk or thighs, the target of the upper body moves, until the pulls give the body
-nothing that things and floor do not; feet stay.
+A performer's seat may be lower than that of the scene, or farther back. Pulls that hold
+the body against it would press with many times its weight. So where something stops
+trunk or thighs, the target of the upper body moves until the pulls give the body
+nothing that things and the floor do not; the feet stay.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .holdable import Holdable
 
 # Guesses, tried on seeds 3 to 5 of the scenes with chairs.
 _YIELDING_TIME = 0.2  # s in which the target gives way
-_HURRY = 4.0  # times as fast at most, under that many body weights
+_FASTER = 4.0  # times as fast at most, under that many body weights or more
 _MOST = 0.6  # of what is too much, in a frame: more would swing
 _MEMORY = 0.2  # s for which what bore the body still may
 _LEAVING_TIME = 0.2  # s in which the target returns to the performer
@@ -30,8 +30,9 @@ _PARTS = ("Knee", "Hip")  # at the ends of thighs, and of what is beside the tru
 
 
 class Seat:
-    """What bears the trunk and the thighs of a character, other than its feet.
+    """What bears the trunk and the thighs of a character in a scene.
 
+    ``exists`` is False where nothing but the floor can.
     ``joint_of`` is the joint at the end of each body of the model, -1 if not the
     character's, and ``stiffness`` that of the pulls of each joint [N/m].
     """
@@ -78,10 +79,12 @@ class Seat:
         ``pulled`` is the force that only the pulls explain [N], (3,). What is ``held``
         bears nobody.
         """
+        if not self.exists:
+            return positions, rotations
         self._since = 0.0 if self._is_borne(held) else self._since + dt
         if self._since < _MEMORY:
-            hurry = np.clip(np.linalg.norm(pulled) / self._weight, 1.0, _HURRY)
-            share = min(dt / _YIELDING_TIME * hurry, _MOST)
+            faster = np.clip(np.linalg.norm(pulled) / self._weight, 1.0, _FASTER)
+            share = min(dt / _YIELDING_TIME * faster, _MOST)
             shift = self._shift - share / self._stiffness * pulled
             self._shift = at_most(_FARTHEST, shift)
         else:

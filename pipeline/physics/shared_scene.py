@@ -17,8 +17,9 @@ from kinefilter.pipeline.target.floor import find_placement
 from kinefilter.retarget import HeadingFrame
 
 from .grasp import seen_hands
+from .moves import check_target
 from .playable import Playable
-from .pulled_character import PulledCharacter, check_target
+from .pulled_character import PulledCharacter
 
 _SHORTEST = 1e-3  # s: shorter steps wait for the next frame
 _MOVED = 1e-4  # m, or of a quaternion: props that moved less are still
