@@ -97,6 +97,7 @@ def _command(rng: Rng) -> bytes:
         {"push": {**push, "force": 300.0}},
         {"push": {**push, "force": [1e9, 0.0, 0.0]}},
         {"push": {**push, "seconds": "long"}},
+        {"push": {**push, "seconds": -1.0}},
         {"push": {**push, "joint": None}},
         {"push": push, "throw": {}},
         {"throw": {"position": here}},

@@ -143,7 +143,7 @@ def test_joints_of_another_skeleton_are_told(joints: object, note: str) -> None:
 def test_what_a_command_has_is_told() -> None:
     for message, note in (
         ({"push": {"part": "Head"}}, "a push has body, joint, force, seconds"),
-        ({"throw": {"position": [0, 0, 1e9], "velocity": [0, 0, 0]}}, "up to 100"),
+        ({"throw": {"position": [0, 0, 1e9], "velocity": [0, 0, 0]}}, "-100 to 100"),
     ):
         with pytest.raises(MalformedError) as caught:
             parse_message(json.dumps(message), KINECT_V1)

@@ -27,6 +27,7 @@ from kinefilter.pipeline.physics.playground import RATE, Playground
 from kinefilter.scenes import SAMPLE
 
 FORWARD = np.array([0.0, 0.0, 1.0])
+SPEED = 10.0  # m/s of a ball
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_a_ball_gives_the_body_its_momentum(motion: Clip) -> None:
     for tracking in ("faithful", "game"):
         free = _chest(Playground(motion, "basic", tracking), 1.5)
         ground = Playground(motion, "basic", tracking)
-        ground.throw(free[0] + 1.5 * FORWARD, -FORWARD)
+        ground.throw(free[0] + 1.5 * FORWARD, -SPEED * FORWARD)
         away[tracking] = np.linalg.norm(_chest(ground, 1.5) - free, axis=1).max()
     assert away["faithful"] < 0.03 < 0.05 < away["game"] < 0.15
 
@@ -101,7 +102,7 @@ def test_a_ragdoll_falls_and_a_faithful_character_is_the_default(motion: Clip) -
 
 def test_a_reset_leaves_things_where_they_are(motion: Clip) -> None:
     ground = Playground(motion, "box")
-    ground.throw([0.5, 1.0, 2.0], FORWARD)
+    ground.throw([0.5, 1.0, 2.0], SPEED * FORWARD)
     _chest(ground, 1.0)
     before = ground.scene_props.now[0].copy()
     ground.character.data.qvel[:3] = 1e5
@@ -128,7 +129,7 @@ def test_what_was_played_is_a_clip_with_the_balls_that_flew(
 ) -> None:
     ground = Playground(motion, "box")
     ground.record()
-    ground.throw([0.0, 1.3, 3.0], -FORWARD)
+    ground.throw([0.0, 1.3, 3.0], -SPEED * FORWARD)
     chest = _chest(ground, 1.0)
     path = tmp_path / "played.npz"
     write_clip(ground.recorded()[0], path)
@@ -208,7 +209,7 @@ def test_two_begin_beside_each_other_share_the_scene_and_are_recorded(
     clips = [read_clip(tmp_path / f"play.{number}.npz") for number in (1, 2)]
     heights = [clip.positions[-1, chest, 1] for clip in clips]
     assert heights[1] < 0.6 < 1.0 < heights[0]
-    ground.throw(first[chest] + FORWARD, -FORWARD)
+    ground.throw(first[chest] + FORWARD, -SPEED * FORWARD)
     assert ground.hit_by(second[chest] + [0.0, 3.0, 0.0], [0.0, 1.0, 0.0]) is None
     here = ground.characters[0].positions[chest]
     hit = ground.hit_by(here + 2.0 * FORWARD, -FORWARD)

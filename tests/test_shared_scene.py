@@ -16,7 +16,9 @@ from websockets.asyncio.client import ClientConnection
 
 from kinefilter import Avatar
 from kinefilter.characters import KINECT_V1, TRACKINGS, InputError, standard_body
-from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody
+from kinefilter.pipeline.live.crowd import Person
+from kinefilter.pipeline.live.live_session import Session
+from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.physics.shared_scene import SharedScene
 
@@ -220,3 +222,14 @@ def test_without_a_scene_people_are_alone_and_can_be_pushed() -> None:
                 assert "need --scene" in run.tally.notes[Reason.UNKNOWN][0]
 
     do(session())
+
+
+def test_a_push_before_a_person_is_in_the_scene_is_ignored() -> None:
+    session = Session(config(source="-", scene="box"))
+    session.receive(format_frame(sample_frame(0)))
+    turn = session.crowd.next()
+    assert turn is not None
+    turn[0].person = Person(session._config, session.scene, "1")  # has a body, no frame
+    push = {"body": "1", "joint": CHEST, "force": [0, 0, 9], "seconds": 1}
+    session.command(json.dumps({"push": push}))
+    assert session.tally.malformed == {Reason.UNKNOWN: 1}

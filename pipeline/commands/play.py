@@ -81,7 +81,7 @@ class Play:
         if self.sources:
             return self._live()
         if self.height is not None:
-            raise InputError("--height is of the people before a sensor; give --in")
+            raise InputError("--height is for people in front of a sensor; give --in")
         check_writable(self.save)
         keep(self.save, *self.take)
         if self.body == "all" and len(self.take) > 1:

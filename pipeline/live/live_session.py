@@ -6,7 +6,7 @@ import asyncio
 import gc
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AsyncExitStack, contextmanager
+from contextlib import AsyncExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -192,11 +192,13 @@ class Session:
         done, scene = False, self.scene
         if isinstance(command, Push):
             avatar = self.crowd.avatar(command.body)
-            if avatar is not None and command.joint in self._skeleton.joints:
-                avatar.push(command.joint, command.force, float(command.seconds))
-                done = True
+            with suppress(InputError):  # no such joint, or not in the scene yet
+                if avatar is not None:
+                    avatar.push(command.joint, command.force, float(command.seconds))
+                    done = True
         elif scene is not None and isinstance(command, Throw):
-            done = scene.send_ball(*command)
+            if done := scene.has_world:
+                scene.throw(*command)
         elif scene is not None and isinstance(command, Place):
             done = scene.place(*command)
         if not done:

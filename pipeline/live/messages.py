@@ -199,8 +199,9 @@ def _parse_command(kind: str, data: Any) -> Command:
             numbers = value if isinstance(value, list) else [value]
             if [type(number) for number in numbers] != [float] * count:
                 raise wrong
-            if not max(map(abs, numbers)) <= most:
-                high = f"{name} of a {kind}: expected numbers up to {most:g}"
+            least = 0.0 if name == "seconds" else -most
+            if not all(least <= number <= most for number in numbers):
+                high = f"{name} of a {kind}: expected {least:g} to {most:g}"
                 raise MalformedError(Reason.NUMBER, high)
             value = np.array(value)
         elif name == "body":

@@ -27,6 +27,7 @@ from .viewer_server import Action, ServedPage, table_html
 
 _STATUS_EVERY = 0.2  # s between two updates of the panel's text
 _TO_GRAB = 1.3  # radius in which the pointer grabs a segment, relative to its own
+_BALL_SPEED = 10.0  # m/s
 _FROM_CAMERA = 0.4  # m in front of the camera, where balls start
 _FAR = 100.0  # m: balls that wait there would be specks on the horizon
 _AROUND = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # m: where people may come
@@ -132,12 +133,13 @@ class PlayPage(ServedPage):
     def _throw_at(self, event: viser.SceneClickEvent) -> None:
         self._check_somebody()
         way = np.array(event.ray_direction)
-        self._ground.throw(event.ray_origin + _FROM_CAMERA * way, way)
+        self._ground.throw(event.ray_origin + _FROM_CAMERA * way, _BALL_SPEED * way)
 
     def _throw(self, event: Any) -> None:
         *_, way = self._way_to_chest(event)
         way /= np.linalg.norm(way)
-        self._ground.throw(event.client.camera.position + _FROM_CAMERA * way, way)
+        origin = event.client.camera.position + _FROM_CAMERA * way
+        self._ground.throw(origin, _BALL_SPEED * way)
 
     def _shove_at(self, event: viser.SceneClickEvent) -> None:
         self._check_somebody()

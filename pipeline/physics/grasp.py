@@ -4,7 +4,7 @@ A performer mimes: what they hold has another size and place than the prop of th
 Where both hands slow down on either side of a prop, the character's hands go to its own
 faces. There each palm is tied to the prop until the performer's hands part or hang, the
 prop rests where they put it down, or it pulls harder than hands can. A ball may go to
-one hand that pushes it to the floor, and back. Thin things are for one hand alone.
+one hand that pushes it to the floor, and back. Thin props are for one hand alone.
 """
 
 from __future__ import annotations

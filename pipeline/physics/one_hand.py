@@ -1,8 +1,8 @@
-"""One hand that takes a thing which is thin enough for it, and puts it down.
+"""One hand that takes a prop which is thin enough for it, and puts it down.
 
-Such as a mug, or something on a hinge or a rail: a door, a drawer, a sheet of paper. A
-performer who mimes cannot show that the hand closes; it is taken to do so where it
-comes to rest at the thing.
+It may be a mug, or something on a hinge or a rail: a door, a drawer, a sheet of paper.
+A performer who mimes cannot show when the hand closes, so it closes where it comes to
+rest at the prop.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ _STILL = 0.25  # m/s: slower hands have come to rest, ...
 _RESTING = 0.15  # s: ... for this time
 _LEFT = 0.2  # m from what it let go of, until the hand may take it again
 _JOINING = 1.0  # s in which a hand that holds returns to where the performer's is
-_LIFTED = 0.05  # m above where it was taken: a thing that is put down when it rests
+_LIFTED = 0.05  # m above where it was taken: a prop that is put down when it rests
 _TEARING_TIME = 0.3  # s for which a stronger pull ends a hold
 
 
 class OneHand:
-    """The left (0) or right (1) hand of a character, and what it may hold alone."""
+    """The left (0) or right (1) hand of a character, and what it holds alone."""
 
-    def __init__(self, number: int, things: Sequence[Holdable]) -> None:
-        self._number, self._things = number, things
+    def __init__(self, number: int, props: Sequence[Holdable]) -> None:
+        self._number, self._props = number, props
         self.start()
 
     def start(self) -> None:
@@ -42,10 +42,10 @@ class OneHand:
         self._offset = np.zeros(3)
         self._lifted = False
 
-    def take_over(self, other: OneHand, things: Mapping[str, Holdable]) -> None:
-        """Go on as the same hand in another world, which has these things."""
-        vars(self).update(vars(other) | {"_things": self._things, "_left": None})
-        self.held = other.held and things[other.held.name]
+    def take_over(self, other: OneHand, props: Mapping[str, Holdable]) -> None:
+        """Go on as the same hand in another world, which has these props."""
+        vars(self).update(vars(other) | {"_props": self._props, "_left": None})
+        self.held = other.held and props[other.held.name]
 
     @property
     def load(self) -> float:
@@ -71,9 +71,9 @@ class OneHand:
             else:
                 self.held.turn_level()
             return self._offset
-        thing, way = self._nearest()
+        prop, way = self._nearest()
         far = float(np.linalg.norm(way))
-        if thing is None or (thing is self._left and far < _LEFT):
+        if prop is None or (prop is self._left and far < _LEFT):
             self._rested = 0.0
             return np.zeros(3)
         self._left = None
@@ -83,25 +83,25 @@ class OneHand:
         if self._rested < _RESTING:
             return np.zeros(3)
         if far < _TOUCH:
-            thing.tie_one(self._number, hand + way)
-            self.held, self._pulled, self._lifted = thing, 0.0, False
-            self._offset, self._taken_at = hand - palm, thing.center[1]
+            prop.tie_one(self._number, hand + way)
+            self.held, self._pulled, self._lifted = prop, 0.0, False
+            self._offset, self._taken_at = hand - palm, prop.center[1]
             return self._offset
         return np.asarray(hand + way - palm)
 
     def _nearest(self) -> tuple[Holdable | None, Array]:
-        """Return the nearest thing, and the way of the hand's surface to it [m]."""
+        """Return the nearest prop, and the way of the hand's surface to it [m]."""
         best, found, way = np.inf, None, np.full(3, np.inf)
-        for thing in self._things:
-            line = None if thing.is_tied else thing.way_from(self._number)
+        for prop in self._props:
+            line = None if prop.is_tied else prop.way_from(self._number)
             if line is not None and np.linalg.norm(line) < best:
-                best, found, way = float(np.linalg.norm(line)), thing, line
+                best, found, way = float(np.linalg.norm(line)), prop, line
         return found, way
 
-    def _lets_go(self, thing: Holdable, performer: PerformerHands) -> bool:
-        pull = float(thing.pulls[self._number])
+    def _lets_go(self, prop: Holdable, performer: PerformerHands) -> bool:
+        pull = float(prop.pulls[self._number])
         self._pulled = self._pulled + performer.dt if pull > STRENGTH else 0.0
-        self._lifted |= thing.center[1] > self._taken_at + _LIFTED
+        self._lifted |= prop.center[1] > self._taken_at + _LIFTED
         slow = float(np.linalg.norm(performer.velocity[self._number])) < _STILL
-        put_down = self._lifted and slow and thing.supported and thing.rests
+        put_down = self._lifted and slow and prop.supported and prop.rests
         return put_down or self._pulled > _TEARING_TIME

@@ -20,7 +20,6 @@ from .scene_props import SceneProps
 from .thrown_balls import ThrownBalls
 from .world import World
 
-_BALL_SPEED = 10.0  # m/s
 _PUSH, _PUSH_TIME = 300.0, 0.3  # N and s of a person who shoves
 _STIFFNESS, _MAX_DRAG = 1500.0, 900.0  # N/m and N of a hand that drags. Guesses.
 _HERE = HeadingFrame(np.zeros(3), np.zeros(()))  # the world is the scene's
@@ -90,10 +89,8 @@ class Playable:
         """End a drag."""
         self._dragged = None
 
-    def throw(self, origin: ArrayLike, direction: ArrayLike) -> None:
-        """Throw the next ball from a point [m], (3,), along a direction, (3,)."""
-        way = np.asarray(direction, dtype=float)
-        velocity = _BALL_SPEED * (way / np.linalg.norm(way))
+    def throw(self, origin: ArrayLike, velocity: ArrayLike) -> None:
+        """Throw the next ball from a point [m], (3,), with a velocity [m/s], (3,)."""
         self._balls.throw(self.world.data, origin, velocity)
 
     def _pull_dragged(self, dt: float) -> None:

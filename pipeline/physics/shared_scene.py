@@ -80,7 +80,7 @@ class SharedPhysics(Stage):
         Raises an InputError if the person is not in the scene.
         """
         if self not in self._scene.people:
-            raise InputError("nobody is in the scene yet; call step() first")
+            raise InputError("the person is not in the scene yet; call step() first")
         return self._scene.characters[self._scene.people.index(self)]
 
 
@@ -182,12 +182,6 @@ class SharedScene(Playable):
         }
         self._told |= moved
         return moved
-
-    def send_ball(self, position: Array, velocity: Array) -> bool:
-        """Throw a ball from a point [m] with a velocity [m/s]; False if nobody came."""
-        if self.has_world:
-            self._balls.throw(self.world.data, position, velocity)
-        return self.has_world
 
     def place(self, prop: str, position: Array, rotation: Array) -> bool:
         """Put a prop at a position [m] and rotation, wxyz; False if none can be."""
