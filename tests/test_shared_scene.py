@@ -6,6 +6,7 @@ import asyncio
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from kinefilter.pipeline.live.crowd import Person
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
 from kinefilter.pipeline.live.tally import Event
+from kinefilter.pipeline.physics import playable
 from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 Array = NDArray[np.float64]
@@ -233,3 +235,23 @@ def test_a_push_before_a_person_is_in_the_scene_is_ignored() -> None:
     push = {"body": "1", "joint": CHEST, "force": [0, 0, 9], "seconds": 1}
     session.command(json.dumps({"push": push}))
     assert session.tally.malformed == {Reason.UNKNOWN: 1}
+
+
+def test_who_cannot_be_in_the_scene_leaves_the_others_as_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = SharedScene("basic", TRACKINGS["faithful"])
+    one, other = Avatar(BODY, scene), Avatar(TALL, scene)
+    one.step(BODY.rest_positions, 0.0)
+    scene.advance()
+    there = TALL.rest_positions + np.array([1.5, 0.0, 0.0])
+    with monkeypatch.context() as patched:
+        patched.setattr(playable, "World", Mock(side_effect=ValueError("no room")))
+        with pytest.raises(ValueError, match="no room"):
+            other.step(there, 0.0)
+    for row in range(1, 10):
+        one.step(BODY.rest_positions, row / 30.0)
+        scene.advance()
+    assert one.pose.positions[KINECT_V1.root, 1] > 0.9
+    other.step(there, 1.0)
+    assert len(scene.people) == len(scene.characters) == 2

@@ -273,7 +273,12 @@ class Session:
         people = self.scene and self.scene.people
         posed = [turn for turn in turns if self._follow(*turn)]
         if self.scene is not None:
-            self.scene.advance()
+            try:
+                self.scene.advance()
+            except (InputError, ArithmeticError, ValueError):
+                for presence, _ in posed:
+                    self._start_over(presence)
+                return
             if self.scene.people is not people:
                 self._tell(self._scene_line())
         for presence, frame in posed:
@@ -293,13 +298,17 @@ class Session:
             pose = person.step(frame.seen, frame.time)
         except (InputError, ArithmeticError, ValueError):
             # Inhuman lengths or an overflow: others must be able to carry on.
-            person.leave()
-            presence.person = None
-            self.tally.events[Event.FAILED] += 1
+            self._start_over(presence)
             return False
         if person.avatar is not None and person.avatar.turn is not turn:
             self.tally.notes[presence.slot] = person.avatar.turn.notes()
         return pose is not None
+
+    def _start_over(self, presence: Presence) -> None:
+        if presence.person is not None:
+            presence.person.leave()
+        presence.person = None
+        self.tally.events[Event.FAILED] += 1
 
     def _send(self, presence: Presence, frame: PendingFrame) -> None:
         avatar = presence.avatar

@@ -74,7 +74,7 @@ async def open_sink(
 class Engine:
     """Sends each person to a port of their own: PORT, PORT+1 and so on."""
 
-    def __init__(self, out: Datagrams, tally: Tally, scheme: str = "vmc") -> None:
+    def __init__(self, out: Datagrams, tally: Tally, scheme: str) -> None:
         self._out, self._tally = out, tally
         self._vrchat = scheme == "vrchat"
         self._figures: dict[int, VmcFigure | VrchatFigure] = {}

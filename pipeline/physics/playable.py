@@ -37,14 +37,12 @@ class Playable:
         self, bodies: Sequence[Body], tracking: Tracking, scene: str | Path
     ) -> None:
         """Make the world of these bodies in a scene; raises InputError as ``World``."""
-        self._balls = ThrownBalls()
-        extend = self._balls.add_to
-        self.world = World(bodies, tracking, scene=scene, extend=extend)
-        self.characters = tuple(
-            PulledCharacter(body, tracking, world=self.world) for body in bodies
-        )
-        roots = [character.root_body for character in self.characters]
-        self.scene_props = SceneProps(self.world.data, roots, 1)
+        balls = ThrownBalls()
+        world = World(bodies, tracking, scene=scene, extend=balls.add_to)
+        characters = [PulledCharacter(b, tracking, world=world) for b in bodies]
+        roots = [character.root_body for character in characters]
+        self.scene_props = SceneProps(world.data, roots, 1)
+        self.world, self.characters, self._balls = world, tuple(characters), balls
         self._dragged = None
 
     @property

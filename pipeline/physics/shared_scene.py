@@ -120,11 +120,11 @@ class SharedScene(Playable):
         """Make a world with these people, in which everything goes on as before."""
         known = dict(zip(self.people, self.characters, strict=True))
         before = self.world if self.has_world else None
-        self.people = people
         if not people:  # props wait for whoever comes next
-            self.characters = ()
+            self.people, self.characters = people, ()
             return
         self._gather([person.body for person in people], self._tracking, self.scene)
+        self.people = people
         if before is not None:
             self.world.take_props(before)
         for person, character in zip(people, self.characters, strict=True):
