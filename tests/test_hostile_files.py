@@ -89,6 +89,7 @@ def test_damaged_files_do_not_hang_libraries_or_eat_memory(
         *(("clip.npz", 4), ("clip.npz", 47), ("kinefilter.csv", 95)),
         *(("pairs.npz", 176), ("database.npz", 1051), ("database.npz", 104_775)),
         *(("clip.bvh", 100_170), ("contacts.csv", 102_861), ("points.c3d", 46)),
+        ("azure.json", 15_206),
     ],
 )
 def test_what_long_runs_have_found_stays_mended(

@@ -27,6 +27,7 @@ from kinefilter.retarget import find_yaw
 
 from .files import array_of, list_in, number_in, read_json
 from .recording import Recording, Sighting, check_length, takes_of_people
+from .rows import LARGEST_NUMBER
 
 _LARGEST = 2**29  # bytes: an hour without spaces, ten minutes of two people with spaces
 _TOOL = "offline_processor"
@@ -146,7 +147,8 @@ def _slim(value: dict[str, Any]) -> dict[str, Any]:
 def _sighting(frame: int, body: Any, where: str) -> Sighting:
     number = number_in(body, "body_id", f"{where}: a body", 2**53)
     positions = body.get("joint_positions")
-    if np.shape(positions) != (len(JOINTS), 3) or np.isinf(positions).any():
+    shaped = np.shape(positions) == (len(JOINTS), 3)
+    if not shaped or (np.abs(positions) > LARGEST_NUMBER).any():
         raise InputError(
             f"{where}: body {number:g} has no valid 'joint_positions', expected "
             f"{len(JOINTS)} times three finite numbers in millimeters"
