@@ -16,7 +16,7 @@ import numpy as np
 
 from .arrays import Array, as_number, check_arrays, freeze, read_only
 from .errors import InputError
-from .rotations import rotate, unit
+from .rotations import rotate, slerp, unit
 from .skeleton import KINECT_V1, KINECT_V2, Skeleton, check_skeleton
 
 GRAVITY = 9.81  # standard gravity [m/s^2], rounded as MuJoCo rounds it
@@ -231,3 +231,20 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
         positions[..., j, :] = positions[..., p, :] + bones[..., j, :]
     return positions
+
+
+def within_ranges(rotations: Array, skeleton: Skeleton) -> Array:
+    """Return segment rotations, as above, with no joint beyond its ``joint_range``.
+
+    From the root outward, segments turn back the short way, as little as they must;
+    those that they carry keep their direction if their own ranges allow it.
+    """
+    found = rotations.copy()
+    for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):
+        start, end = found[..., p, :], found[..., j, :]
+        most = joint_range(skeleton.joints[j])
+        angle = 2.0 * np.arccos(np.minimum(np.abs(np.vecdot(start, end)), 1.0))
+        if (beyond := angle > most).any():
+            share = most / angle[beyond]
+            found[beyond, j] = slerp(start[beyond], end[beyond], share)
+    return found

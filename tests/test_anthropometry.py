@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 from skeletons import every_skeleton
 
 from kinefilter.characters import (
@@ -20,6 +21,8 @@ from kinefilter.characters import (
     Skeleton,
     standard_body,
 )
+from kinefilter.characters.anthropometry import joint_range, within_ranges
+from kinefilter.characters.arrays import Array
 from kinefilter.scenes.library import random_body
 
 skeletons = st.sampled_from([KINECT_V1, KINECT_V2])
@@ -211,3 +214,31 @@ def test_people_at_random_are_built_like_the_average_on_the_whole(
 @pytest.mark.parametrize("height", [0.3, 3.0])
 def test_the_bounds_of_a_height_are_heights(height: float) -> None:
     assert standard_body(KINECT_V1, height=height).height == height
+
+
+@every_skeleton
+def test_joints_turn_back_into_their_ranges_and_no_farther(skeleton: Skeleton) -> None:
+    starts, ends = skeleton.segment_parents, skeleton.segments
+    most = np.array([joint_range(skeleton.joints[j]) for j in ends])
+
+    def angles(turns: Array) -> Array:
+        first, second = (
+            Rotation.from_quat(turns[:, k].reshape(-1, 4), scalar_first=True)
+            for k in (starts, ends)
+        )
+        return (first.inv() * second).magnitude().reshape(len(turns), -1)
+
+    random = Rotation.random(200 * len(skeleton), rng=np.random.default_rng(1))
+    turns = random.as_quat(scalar_first=True).reshape(200, -1, 4)
+    found = within_ranges(turns, skeleton)
+    over = angles(found) - most
+    assert over.max() < 1e-7
+    moved = (found != turns).any(axis=2)[:, ends]
+    assert moved.any(axis=0).all()
+    assert np.abs(over[moved]).max() < 1e-7
+    # Of joints whose parents did not move, the short way.
+    alone = moved & ~(found != turns).any(axis=2)[:, starts]
+    back = Rotation.from_quat(turns[:, ends][alone], scalar_first=True).inv()
+    back = back * Rotation.from_quat(found[:, ends][alone], scalar_first=True)
+    expected = (angles(turns) - most)[alone]
+    np.testing.assert_allclose(back.magnitude(), expected, atol=1e-7)

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
-from kinefilter.characters.anthropometry import positions_from_rotations
+from kinefilter.characters.anthropometry import (
+    positions_from_rotations,
+    within_ranges,
+)
 from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco
@@ -165,15 +168,16 @@ class _Cue:
         self._props.record(own)
 
     def result(self) -> PhysicsResult:
-        """Return what was recorded, without the thrashing before resets."""
+        """Return what was recorded, without thrashing or joints beyond their range."""
         person, body = self._person, self.character.body
         target = person.rotations, person.positions[:, body.skeleton.root]
         resets = np.flatnonzero(self._trace.reset)
         bridge_resets(person.time, (self._turns, self._roots), target, resets, body)
         joints = np.empty_like(person.positions)
         for some in chunks(len(joints), _CHUNK):
-            pose = self._turns[some], self._roots[some]
-            joints[some] = positions_from_rotations(*pose, body)
+            # Ranges are soft in the engine, and the target may ignore them.
+            turns = self._turns[some] = within_ranges(self._turns[some], body.skeleton)
+            joints[some] = positions_from_rotations(turns, self._roots[some], body)
             away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)
             self._trace.tracking_error[some] = away.mean(axis=-1)
         return PhysicsResult(continuous(self._turns), joints, self._trace, self._props)
