@@ -205,14 +205,16 @@ def _add_arm(clay: _Sculptor, side: int, sign: float) -> None:
     thick = at(elbow) + 0.28 * (at(wrist) - at(elbow))
     clay.add(wrist, at(elbow), thick, (0.9 * bend, 1.14 * lower))
     clay.add(wrist, thick, at(wrist), (1.14 * lower, 0.74 * lower))
-    # Palms face down, thumbs ahead.
+    # Palms face down, thumbs ahead; fingers are a little bent, as they are at rest.
     palm, flat = 0.022 * height, (1.0, 0.42, 1.0)
     back = at(wrist, x=0.016 * sign), at(wrist, x=0.042 * sign)
     clay.add(hand, *back, (0.9 * palm, palm), flat)
     names = skeleton.joints
     tip = skeleton.sides("HandTip")[side] if "HandTipLeft" in names else hand
-    fingers = at(wrist, x=0.05 * sign), at(wrist, x=0.09 * sign)
-    clay.add(tip, *fingers, (0.92 * palm, 0.74 * palm), (1.0, 0.46, 1.0))
+    knuckles = at(wrist, x=0.05 * sign)
+    bent, ends = (at(wrist, x=x * sign, y=y) for x, y in ((0.07, -0.006), (0.086, -0.016)))
+    clay.add(tip, knuckles, bent, (0.92 * palm, 0.83 * palm), (1.0, 0.46, 1.0))
+    clay.add(tip, bent, ends, (0.83 * palm, 0.7 * palm), (1.0, 0.46, 1.0))
     thumb = skeleton.sides("Thumb")[side] if "ThumbLeft" in names else hand
     ball, end = at(wrist, x=0.012 * sign, z=0.012), at(wrist, x=0.042 * sign, z=0.032)
     clay.add(thumb, ball, end, (0.011 * height, 0.0095 * height))
