@@ -211,10 +211,10 @@ def _add_arm(clay: _Sculptor, side: int, sign: float) -> None:
     clay.add(hand, *back, (0.9 * palm, palm), flat)
     names = skeleton.joints
     tip = skeleton.sides("HandTip")[side] if "HandTipLeft" in names else hand
-    knuckles = at(wrist, x=0.05 * sign)
-    bent, ends = (at(wrist, x=x * sign, y=y) for x, y in ((0.07, -0.006), (0.086, -0.016)))
-    clay.add(tip, knuckles, bent, (0.92 * palm, 0.83 * palm), (1.0, 0.46, 1.0))
-    clay.add(tip, bent, ends, (0.83 * palm, 0.7 * palm), (1.0, 0.46, 1.0))
+    knuckles, second = at(wrist, x=0.05 * sign), at(wrist, x=0.07 * sign, y=-0.006)
+    ends, flat = at(wrist, x=0.086 * sign, y=-0.016), (1.0, 0.46, 1.0)
+    clay.add(tip, knuckles, second, (0.92 * palm, 0.83 * palm), flat)
+    clay.add(tip, second, ends, (0.83 * palm, 0.7 * palm), flat)
     thumb = skeleton.sides("Thumb")[side] if "ThumbLeft" in names else hand
     ball, end = at(wrist, x=0.012 * sign, z=0.012), at(wrist, x=0.042 * sign, z=0.032)
     clay.add(thumb, ball, end, (0.011 * height, 0.0095 * height))

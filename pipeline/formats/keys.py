@@ -76,9 +76,6 @@ def sparse_curves(
         parent = rig.parents[node]
         return np.asarray(positions[:, parent] + rotate(turned[:, parent], places))
 
-    def posed(node: int, values: Array) -> Array:
-        return multiply(turned[:, rig.parents[node]], normalize(values))
-
     children: list[list[int]] = [[] for _ in rest]  # at a distance and not moving
     for node, parent in enumerate(rig.parents):
         turned[:, node] = wanted[:, node]
@@ -87,34 +84,39 @@ def sparse_curves(
             children[parent].append(node)
     targets = positions.copy()
 
-    # These return the errors in each frame, as multiples of the largest allowed one.
-    def too_far(node: int, places: Array) -> Array:
-        return np.asarray(np.linalg.norm(places - targets[:, node], axis=1) / allowed)
+    # These return the errors in each frame, as multiples of the largest allowed one;
+    # goals are relative to the parent.
+    def position_errors(goal: Array, places: Array) -> Array:
+        return np.asarray(_norms(places - goal) / allowed)
 
-    def position_errors(node: int, places: Array) -> Array:
-        return too_far(node, placed(node, places))
-
-    def rotation_errors(node: int, values: Array) -> Array:
-        """Also those of the children, which the node moves."""
-        now = posed(node, values)
-        sines = multiply(inverse(wanted[:, node]), now)[:, 1:]
-        most = 2.0 * np.linalg.norm(sines, axis=1) / (allowed / _LEVER)
-        for child in children[node]:
-            place = positions[:, node] + rotate(now, rest[child])
-            most = np.maximum(most, too_far(child, place))
-        return np.asarray(most)
+    def rotation_errors(
+        goal: Array, ends: list[tuple[Array, Array]], q: Array
+    ) -> Array:
+        """Also those of the children's places, whose offsets and goals are given."""
+        now = normalize(q)
+        # Half the angle between two rotations is nearly the length of the chord.
+        most = _norms(now - goal) * (2.0 * _LEVER)
+        for offset, there in ends:
+            most = np.maximum(most, _norms(rotate(now, offset) - there))
+        return np.asarray(most / allowed)
 
     for node, parent in enumerate(rig.parents):
         above, place = inverse(turned[:, parent]), rest[node]
         if node in paths:
             goal = rotate(above, targets[:, node] - positions[:, parent])
-            curve, place = _fitted(node, stamps, goal, partial(position_errors, node))
+            curve, place = _fitted(node, stamps, goal, partial(position_errors, goal))
             yield curve
-        positions[:, node] = placed(node, place)
+        at = positions[:, node] = placed(node, place)
         goal = continuous(multiply(above, wanted[:, node]))
-        curve, values = _fitted(node, stamps, goal, partial(rotation_errors, node))
-        turned[:, node] = posed(node, values)
+        ends = [(rest[k], rotate(above, targets[:, k] - at)) for k in children[node]]
+        errors = partial(rotation_errors, goal, ends)
+        curve, values = _fitted(node, stamps, goal, errors)
+        turned[:, node] = multiply(turned[:, parent], normalize(values))
         yield curve
+
+
+def _norms(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
 
 
 def _with_missing(stamps: Array, step: float) -> tuple[Array, Indices, Array]:
