@@ -22,6 +22,7 @@ from .limb_failures import (
     LIMBS,
     bent_backwards,
     folded_forward,
+    guessed_knees,
     leaps,
     out_of_range,
     through_head,
@@ -148,6 +149,7 @@ def find_failures(
     take = unmirrored(take, found)  # sides are named as they are once swapped back
     if distrusted is not None:
         take = take.without(distrusted)
+    take = take.without(guessed_knees(take))  # which say nothing about their legs
     for side in SIDES:
         through = _lasting(time, through_head(take, side), _SHORT)
         beyond = _lasting(time, out_of_range(take, side), _SHORT)
