@@ -212,7 +212,7 @@ class HiddenLimbTracker:
         return filled
 
 
-_MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred joints are kept
+_MOSTLY_INFERRED = 0.3  # share of tracked frames up to which inferred legs are kept
 _LATELY = 300  # frames over which that share is averaged in live motion
 _BETWEEN = 2.0  # s between takes, so that no motion continues from one to the next
 
@@ -302,10 +302,12 @@ def hidden_joints(
 ) -> Flags:
     """Return True for joints that are missing, or of a limb and only inferred.
 
-    Inferred joints of the trunk, and those hardly ever tracked, are not hidden: what
-    the sensor infers is better there. ``tracked`` (J,) is the share of frames in which
-    each joint is tracked; by default that of the take.
+    Inferred joints of the trunk, of legs that are hardly ever tracked and of arms that
+    never are, are not hidden: what the sensor infers is better there. ``tracked`` (J,)
+    is the share of frames in which each joint is tracked; by default that of the take.
     """
     now = state == State.TRACKED
-    often = (now.mean(axis=0) if tracked is None else tracked) > _MOSTLY_INFERRED
+    legs = [j for hip in skeleton.hips for j in skeleton.descendants(hip)]
+    least = np.where(np.isin(np.arange(len(skeleton)), legs), _MOSTLY_INFERRED, 0.0)
+    often = (now.mean(axis=0) if tracked is None else tracked) > least
     return np.asarray(np.isnan(positions[..., 0]) | ~now & often & in_limbs(skeleton))
