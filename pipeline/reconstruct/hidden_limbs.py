@@ -63,16 +63,20 @@ def fill_hidden(
         return positions, hidden
     visible = np.where(hidden[..., None], np.nan, positions)
     seen = bridged_motion(time, visible, skeleton)
+    # Where elbows are hidden and wrists are not, that shows the arm.
+    shown = _place_elbows(seen, hidden)
+    gone = hidden & ~shown
+    if shown.any():
+        placed = seen.heading.restore(seen.positions)
+        seen = bridged_motion(time, np.where(gone[..., None], np.nan, placed), skeleton)
     prior = prior or default_prior()
-    for gap, limb in _gaps(seen, hidden):
+    for gap, limb in _gaps(seen, gone):
         _fill_limb(seen, gap, limb, prior)
     # A limb that is not seen until later comes from where it is seen first.
     backward = seen.backward()
-    for gap, limb in _gaps(backward, hidden[::-1]):
+    for gap, limb in _gaps(backward, gone[::-1]):
         if not _ahead(backward, gap):
             _fill_limb(backward, gap, limb, prior)
-    for joints in limbs(skeleton):
-        _place_middle(seen, hidden, *joints)
     filled = seen.heading.restore(seen.positions)
     trust = _trust(time, hidden)
     trust[np.isnan(positions[..., 0])] = 1.0
@@ -206,15 +210,18 @@ def _place(seen: BridgedMotion, gap: slice, limb: Limb, before: Array) -> None:
         seen.positions[gap, j][gone] = (seen.positions[gap, parent] + bone)[gone]
 
 
-def _place_middle(
-    seen: BridgedMotion, hidden: Flags, top: int, middle: int, end: int
-) -> None:
-    """Put hidden elbows and knees between the visible ends of their limb."""
-    frames = hidden[:, middle] & ~hidden[:, end]
-    lengths = (seen.lengths[middle], seen.lengths[end])
-    if frames.any() and np.isfinite(lengths).all():
+def _place_elbows(seen: BridgedMotion, hidden: Flags) -> Flags:
+    """Put hidden elbows between visible shoulders and wrists; return which, (T, J)."""
+    placed = np.zeros_like(hidden)
+    for top, middle, end in limbs(seen.skeleton):
+        lengths = (seen.lengths[middle], seen.lengths[end])
+        # Where a knee is, the prior knows better.
+        if top in seen.skeleton.hips or not np.isfinite(lengths).all():
+            continue
+        placed[:, middle] = frames = hidden[:, middle] & ~hidden[:, end]
         first, inner, last = (seen.positions[frames, j] for j in (top, middle, end))
         seen.positions[frames, middle] = middle_joint(first, inner, last, lengths)[0]
+    return placed
 
 
 def point_unseen(
