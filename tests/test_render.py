@@ -20,7 +20,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.commands import view as command
 from kinefilter.pipeline.formats import write_clip, write_take_csv
-from kinefilter.pipeline.look import video
+from kinefilter.pipeline.look import video, video_files
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video import render_clips
 from kinefilter.pipeline.look.video_opengl import Backend, find_backend
@@ -80,6 +80,18 @@ def test_a_video_is_the_same_whatever_the_processes(
     assert times == pytest.approx(np.arange(70) / 30.0, abs=1e-3)
     for before, after in zip(pictures[::20], pictures[20::20], strict=False):
         assert np.abs(after.astype(int) - before).max() > 30  # somebody moves
+
+
+def test_a_video_is_the_same_with_and_without_vector_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    y, x = np.mgrid[:54, :96]
+    waves = [127 + 100 * np.sin((x + 2 * k) / 9 + y / 7) for k in range(20)]
+    pictures = [np.stack([wave.astype(np.uint8)] * 3, axis=-1) for wave in waves]
+    coded = video_files.encode_video(pictures, (96, 54), 30.0)
+    plain = {**video_files._X264, "x264-params": "asm=0"}
+    monkeypatch.setattr(video_files, "_X264", plain)
+    assert coded == video_files.encode_video(pictures, (96, 54), 30.0)
 
 
 @pytest.mark.usefixtures("backend")
