@@ -177,9 +177,16 @@ class CleanConfig:
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
             expected = "0 (no smoothing) or at least 0.5; 6 keeps human motion"
             raise InputError(f"--cutoff {self.cutoff:g} Hz: expected {expected}")
-        for name in ("scene", "tracking"):
-            if getattr(self, name) != vars(CleanConfig)[name] and not self.physics:
-                raise InputError(f"--{name} needs physics; omit --no-physics")
+        needs = {
+            "scene": "physics",
+            "tracking": "physics",
+            "same_person": "reconstruct",
+        }
+        for name, need in needs.items():
+            if getattr(self, name) != vars(CleanConfig)[name] and not vars(self)[need]:
+                told = f"--{name.replace('_', '-')} needs --{need}"
+                off = f"--preset {self.preset}" if self.preset else f"--no-{need}"
+                raise InputError(f"{told}, which {off} turns off")
         if self.contacts is not None and self.feet != "auto":
             raise InputError("--contacts and --feet exclude each other; give one")
         if self.tilt is not None and not abs(self.tilt) <= 90.0:

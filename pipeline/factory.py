@@ -129,13 +129,19 @@ def make_corrector(
     The default for joints from other trackers (not ``by_kinect``) is local PCA alone.
     Raises an InputError if the database or model is missing or for another skeleton.
     """
+    name = config.method or ("default" if by_kinect else "local-pca")
+    asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
+    alone = config.model is not None and config.method != "local-pca"
+    if config.database and (alone or METHODS[name].requires != "database"):
+        user = "a --model alone" if alone else asked
+        raise InputError(f"{user} does not use --database; add --method local-pca")
     if config.model is not None:
         model = load_model(config.model)
         try:
             learned = _adapted(skeleton, config, model)
         except InputError as error:
             raise InputError(f"{config.model}: {error}") from None
-        if config.method != "local-pca":
+        if alone:
             return learned
         methods, least = (learned, _build("local-pca", skeleton, config)), _MINIMUM
         return CorrectorChain(*methods, least_reliability=least)
@@ -143,9 +149,7 @@ def make_corrector(
         raise InputError("--adapt needs a --model of method local-gp")
     if config.person is not None:
         raise InputError("--person needs a --model from 'kinefilter train --people'")
-    name = config.method or ("default" if by_kinect else "local-pca")
     if METHODS[name].requires == "pairs":
-        asked = f"--preset {config.preset}" if config.preset else f"--method {name}"
         trained = f"a --model from 'kinefilter train {asked}'"
         raise InputError(f"{asked} needs training: give {trained}")
     return _build(name, skeleton, config, **config.parameters.method)

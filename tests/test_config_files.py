@@ -210,6 +210,28 @@ def test_batch_lets_options_overrule_every_file(
     assert rates() == pytest.approx([40, 40], rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--method none --database x.npz", "--method none does not use --database"),
+        ("--preset liu-2016 --database x.npz", "liu-2016 does not use --database"),
+        ("--model x.npz --database x.npz", "a --model alone does not use --database"),
+        ("--no-reconstruct --same-person x.csv", "--same-person needs --reconstruct"),
+        ("--preset shum-2013 --same-person x.csv", "which --preset shum-2013 turns"),
+        ("--preset liu-2016 --scene box", "which --preset liu-2016 turns off"),
+        ("--no-physics --scene box", "--scene needs --physics, which --no-physics"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    options: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    take, out = tmp_path / "t.csv", tmp_path / "t.npz"
+    write_take_csv(short_take(30), take)
+    assert main(["clean", str(take), "-o", str(out), *options.split()]) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()
+
+
 def test_the_take_itself_is_no_other_take_of_the_person(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

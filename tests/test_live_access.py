@@ -164,6 +164,14 @@ def test_what_cannot_run_is_refused_before_anything_listens(
         asyncio.run(Session(what).run(asyncio.Event()))
 
 
+@pytest.mark.parametrize("name", ["origin", "token_file", "certificate", "key"])
+def test_what_only_websockets_have_is_refused_without_one(name: str) -> None:
+    value = ("null",) if name == "origin" else Path("nowhere")
+    access, told = AccessConfig(**{name: value}), f"--{name.replace('_', '-')} needs a"
+    with pytest.raises(InputError, match=f"{told} WebSocket"):
+        Session(config("-", source=UDP), access)
+
+
 def test_a_port_in_use_is_told() -> None:
     async def session() -> None:
         async with running(config(source=WS)) as (_, (source, _)):

@@ -12,7 +12,13 @@ from batch_takes import short_take
 
 from kinefilter import CleanConfig, Cleaner, evaluate
 from kinefilter.characters import InputError, standard_body
-from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
+from kinefilter.pipeline.correct import (
+    Correction,
+    Corrector,
+    CorrectorChain,
+    Hold,
+    Observation,
+)
 from kinefilter.pipeline.lab.simulation import simulate
 
 QUICK = CleanConfig(physics=False)
@@ -69,6 +75,22 @@ def test_a_correction_that_does_not_fit_is_refused_by_its_name(
     cleaner.start(standard_body(take.skeleton))
     with pytest.raises(InputError, match=named):
         cleaner.step(take.positions[0], 0.0)
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("kind", [Own, OwnWhole])
+def test_in_a_chain_the_one_that_does_not_fit_is_named(
+    kind: type[Own], first: bool
+) -> None:
+    take, told = short_take(40), "positions has shape"
+    own, hold = kind(take.skeleton, WRONG[told]), Hold(take.skeleton)
+    chain = CorrectorChain(*((own, hold) if first else (hold, own)))
+    cleaner = Cleaner(QUICK, corrector=chain)
+    cleaner.start(standard_body(take.skeleton))
+    with pytest.raises(InputError, match=f"the correction by {kind.__name__}: {told}"):
+        cleaner.step(take.positions[0], 0.0)
+    with pytest.raises(InputError, match=f"the correction by {kind.__name__}: {told}"):
+        cleaner.clean(take)
 
 
 def test_joints_that_were_seen_must_be_numbers_and_live_all() -> None:

@@ -278,7 +278,7 @@ def test_who_only_waits_for_pictures_loads_no_opengl() -> None:
         (["-o", "a.mp4", "--fps", "0"], "--fps 0"),
         (["-o", "a.gif", "--fps", "60"], "at most 50 frames"),
         (["-o", "a.mp4", "--begin", "3", "--end", "2"], "--begin 3 --end 2"),
-        (["-o", "a.mp4", "--begin", "99"], "it lasts"),
+        (["-o", "a.mp4", "--begin", "99"], "clip.npz: no frames from 99 s"),
         (["-o", "a.mp4", "--camera", "above"], "three-quarter"),
         (["-o", "a.mp4", "--camera", "absent.toml"], "absent.toml"),
         (["-o", "a.mp4", "--scene", "moon"], "unknown scene 'moon'"),

@@ -155,10 +155,11 @@ class CorrectorChain(Corrector):
     def _run(
         self, seen: Observation, calls: list[Callable[[Observation], Correction]]
     ) -> Correction:
-        for call in calls[:-1]:
-            found, missing = call(seen), np.isnan(seen.positions)
+        for call, method in zip(calls[:-1], self.methods, strict=False):
+            found, missing = checked(call(seen), method, seen), np.isnan(seen.positions)
             seen = replace(seen, positions=np.where(missing, np.nan, found.positions))
         least = np.where(np.isnan(seen.positions[..., 0]), 0.0, self.least_reliability)
         names = ("reliability", "geometry")
         scores = {name: np.maximum(getattr(seen, name), least) for name in names}
-        return calls[-1](replace(seen, **scores))
+        seen = replace(seen, **scores)
+        return checked(calls[-1](seen), self.methods[-1], seen)

@@ -41,6 +41,7 @@ _ADDRESS = re.compile(
 _SOURCES = ("udp", "ws", "wss", STANDARD)
 ENGINES = ("vmc", "vrchat")  # take OSC messages
 _TARGETS = (*ENGINES, "ws", "wss", STANDARD)
+_FOR_WEBSOCKETS = ("origin", "token_file", "certificate", "key")
 _MIN_TOKEN = 16  # characters; shorter tokens can be guessed
 _MAX_TOKEN_FILE = 2**12  # bytes
 MAX_CONNECTIONS = 8  # senders or readers per port: a room of sensors. A guess
@@ -144,6 +145,9 @@ def find_endpoints(
     schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:
         require("websockets", "a WebSocket", "live")
+    elif given := [name for name in _FOR_WEBSOCKETS if getattr(access, name)]:
+        option = f"--{given[0].replace('_', '-')}"
+        raise InputError(f"{option} needs a WebSocket; add --out ws://HOST:PORT")
     if schemes & set(ENGINES):
         require("pythonosc", "OSC", "live")
     token = None if access.token_file is None else read_token(access.token_file)

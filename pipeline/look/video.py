@@ -85,7 +85,8 @@ class Composition:
     """
 
     def __init__(self, task: RenderTask) -> None:
-        look, whole = task.look, read_finite_clip(task.clip)
+        look, source = task.look, str(task.clip)  # rather than its take, in messages
+        whole = replace(read_finite_clip(task.clip), source=source)
         clip, self.rate = shown_frames(whole, look)  # frame rate of the pictures [1/s]
         if look.scene is not None:
             clip = replace(clip, props=props_around(whole, clip.props, look.scene))
