@@ -205,7 +205,7 @@ def _adapted(skeleton: Skeleton, config: CleanConfig, model: Model) -> Corrector
     if config.person is not None:
         people = corrector.people_.tolist() if model.method == "learned" else []
         if config.person not in people:
-            known = f"only {', '.join(people)}" if people else "and no one else"
+            known = f"only {', '.join(people)}" if people else "nor anyone else"
             hint = "train it on people with 'kinefilter train --people'"
             raise InputError(f"does not know {config.person!r}, {known}; {hint}")
         corrector.select_person(config.person)

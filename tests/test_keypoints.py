@@ -279,7 +279,24 @@ def test_times_are_those_of_the_file_or_thirty_frames_a_second_and_told(
     assert "assumed" not in str(recording.notes)
     recording = read_recording(write_text(tmp_path / "a.csv", freemocap_csv(slow)))
     np.testing.assert_allclose(recording.takes[0].time, truth.time, atol=1e-9)
-    assert "30 frames a second assumed" in recording.notes[0]
+    assert "30 frames a second assumed (--take-fps" in recording.notes[0]
+    again = freemocap_csv(slow).replace("'a': 1, 'b': 2", "1").replace(",", ";")
+    german = read_recording(write_text(tmp_path / "b.csv", again.replace(".", ",")))
+    np.testing.assert_array_equal(
+        german.takes[0].positions, recording.takes[0].positions
+    )
+
+
+def test_landmarks_of_a_picture_are_told_from_those_of_the_world(
+    tmp_path: Path,
+) -> None:
+    places = y_down(landmarks(scripted(), BLAZEPOSE)) * [0.3, 0.5, 0.3]
+    (note,) = (
+        n
+        for n in read_recording(write_npy(tmp_path / "a.npy", places)).notes
+        if "no unit" in n
+    )
+    assert "pose_world_landmarks" in note
 
 
 def test_the_frame_rate_of_a_take_without_time_stamps_can_be_given(

@@ -137,6 +137,9 @@ def test_ones_own_correctors_are_measured_beside_methods() -> None:
 
     same, other = Own(skeleton, lambda found: found), Own(skeleton, larger)
     methods = ["none", same, OwnWhole(skeleton, lambda found: found), other]
-    rows = evaluate([], [brief], methods, physics=False)["methods"]
+    figures = evaluate([], [brief], methods, physics=False)
+    rows, areas = figures["methods"], figures["reliability_auc"]["shum"]
+    for name in (*figures, *areas, *rows["none"]):  # help(evaluate) explains it
+        assert f"``{name}``" in (evaluate.__doc__ or "")
     assert [*rows] == ["raw", "none", "Own 1", "OwnWhole", "Own 2"]
     assert rows["Own 1"]["E"] == pytest.approx(rows["none"]["E"], abs=0.1)

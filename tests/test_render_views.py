@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from kinefilter import CleanConfig, Export, clean, read_take, scenes
 from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_body
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats import write_clip, write_take_csv
@@ -221,6 +223,24 @@ def test_a_take_of_another_clip_is_not_drawn_beside_it(
     write_take_csv(make_clip(20, seed=1), tmp_path / "take.csv")
     with pytest.raises(InputError, match=r"--compare .*take\.csv.* not where the clip"):
         raw_positions(tmp_path / "take.csv", clip, clip.time)
+
+
+@pytest.mark.parametrize("root", ["travel", "none"])
+@pytest.mark.parametrize("suffix", [".bvh", ".usdc"])
+def test_a_part_without_time_stamps_is_drawn_beside_its_part_of_the_take(
+    suffix: str, root: Any, tmp_path: Path
+) -> None:
+    take, path = read_take(scenes.SAMPLE), tmp_path / "take.csv"
+    take = replace(take, time=take.time + 1000.0)
+    write_take_csv(take, path)
+    whole = clean(take, CleanConfig(method="none", physics=False)).clip
+    part = Export(begin=3.0, end=5.0, root=root)
+    shown = []
+    for kind in (".npz", suffix):
+        write_clip(whole, tmp_path / f"clip{kind}", part)
+        clip = read_finite_clip(tmp_path / f"clip{kind}")
+        shown.append(raw_positions(path, clip, clip.time))
+    np.testing.assert_allclose(shown[1], shown[0], atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -244,6 +244,9 @@ def test_missing_folder_binary_and_damaged_files_are_refused(tmp_path: Path) -> 
     path = tmp_path / "x.csv"
     path.write_bytes(b"time,\xff\xfe\n")
     assert "not UTF-8" in complaint(path)
+    for start in (b"Kaydara FBX Binary  \0", b"; FBX 7.4.0 project file\n"):
+        path.write_bytes(start + b"\x1a\0\xe8")
+        assert "FBX cannot be read; export it as BVH" in complaint(path)
     path.write_bytes(gzip.compress(HEADER.encode() * 1000)[:-20])
     assert "damaged gzip" in complaint(path)
 

@@ -21,7 +21,9 @@ def test_a_trc_file_holds_what_was_written_gaps_included(tmp_path: Path) -> None
     mocap.positions[5, -1] = np.nan  # the end of a row, where editors strip tabs
     path = write_trc(tmp_path / "a.trc", mocap)
     stripped = "\n".join(line.rstrip() for line in path.read_text().splitlines())
-    for file in (path, write_text(tmp_path / "b.trc", stripped)):
+    with_commas = path.read_text().replace(".", ",")  # as in German
+    texts = (stripped, with_commas)
+    for file in (path, *(write_text(tmp_path / "b.trc", text) for text in texts)):
         again = read_mocap(file)
         assert again.names == mocap.names
         assert again.frame_time == pytest.approx(1 / 30, rel=1e-4)

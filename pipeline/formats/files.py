@@ -29,6 +29,7 @@ _Path = TypeVar("_Path", bound=PurePath)
 
 _Stream = io.BufferedReader | gzip.GzipFile
 _GZIP_MAGIC = b"\x1f\x8b"
+_FBX = (b"Kaydara FBX", b"; FBX ")  # beginnings of binary and of text files
 
 _LARGEST_TEXT = 2**30  # bytes: ten hours of Kinect v2 CSV, longer than any recording
 CALIBRATION = "kinefilter calibration"  # what a file of sensor alignments is
@@ -280,6 +281,8 @@ def _opened(path: AnyPath, most: int = _LARGEST_TEXT) -> Iterator[tuple[_Stream,
     path = check_file(path)
     try:
         with path.open("rb") as raw:
+            if raw.peek(16).startswith(_FBX):
+                raise InputError(f"{path}: FBX cannot be read; export it as BVH")
             if raw.peek(2)[:2] != _GZIP_MAGIC:
                 yield raw, most
                 return

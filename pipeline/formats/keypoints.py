@@ -11,6 +11,7 @@ import os
 import re
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from .npz import read_array
 from .plain import counted
 from .recording import ASSUMED_FPS, Recording, Sighting, not_by_kinect, takes_of_people
 from .rows import MOST_FRAMES, RowReader, open_rows
+from .sheets import separator_of
 
 _LARGEST = 2**29  # bytes
 _LONGEST_STAMP = 40  # characters
@@ -103,7 +105,8 @@ def _read_npy(source: str) -> NDArray[Any]:
 def read_freemocap(source: str) -> Recording:
     """Read a table with a column per coordinate; raises InputError if malformed."""
     with open_rows(source) as (row, line, lines):
-        header = [cell.strip() for cell in _cells(line, source)]
+        split = partial(_cells, source=source, separator=separator_of(line))
+        header = [cell.strip() for cell in split(line)]
         at = {cell: k for k, cell in reversed(list(enumerate(header)))}
         found = dict.fromkeys(cell.rpartition("_")[0] for cell in header)
         names = [n for n in found if f"{n}_z" in at and plain_name(n) in BLAZEPOSE]
@@ -112,10 +115,10 @@ def read_freemocap(source: str) -> Recording:
             raise InputError(f"{source}: row {row} has no column {missing[0]!r}")
 
         def cells(line: str) -> str:
-            given = _cells(line, source)
+            given = split(line)
             given += [""] * (len(header) - len(given))
             time = _seconds(given[at["timestamp"]]) if "timestamp" in at else ""
-            values = [given[at[cell]].strip() for cell in needed]
+            values = [given[at[cell]].strip().replace(",", ".") for cell in needed]
             return ",".join([time, *values, *given[len(header) :]])
 
         reader = RowReader(source, ("timestamp", *needed), cells)
@@ -129,9 +132,9 @@ def read_freemocap(source: str) -> Recording:
     return recording_of(mocap, time - time[:1])
 
 
-def _cells(line: str, source: str) -> list[str]:
+def _cells(line: str, source: str, separator: str) -> list[str]:
     try:
-        return next(csv.reader([line]), [])
+        return next(csv.reader([line], delimiter=separator), [])
     except csv.Error as error:
         raise InputError(f"{source}: not CSV ({error}); export it again") from None
 

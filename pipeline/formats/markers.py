@@ -36,6 +36,7 @@ def read_trc(path: AnyPath) -> Mocap:
     """Read a TRC file; raises InputError if it is malformed."""
     source = os.fspath(path)
     with open_text(path) as lines:
+        lines = (line.replace(",", ".") for line in lines)  # decimal commas
         header = [line.rstrip("\r\n").split("\t") for line in islice(lines, _HEADER)]
         if len(header) < _HEADER or header[0][0].strip() != TRC_MAGIC:
             raise InputError(f"{source}: is not TRC, or cut off; export it again")

@@ -135,7 +135,10 @@ def kinect_joints(
     motion = kinect_motion(mocap, skeleton, rigs)
     positions, notes = motion.meters * motion.positions, list[str]()
     if not motion.unit:
-        notes.append(f"no unit of length fits the bones; scaled by {motion.meters:.4g}")
+        notes.append(
+            f"no unit of length fits the bones; scaled by {motion.meters:.4g}; picture "
+            "coordinates are distorted: of MediaPipe, give pose_world_landmarks"
+        )
     hips = positions[:, skeleton.root]
     hips = hips[np.isfinite(hips).all(axis=1)]
     if mocap.rotations is None and np.ptp(hips[:, [0, 2]], axis=0).max() < _STILL:

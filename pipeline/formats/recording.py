@@ -94,6 +94,7 @@ def at_rate(recording: Recording, fps: float | None) -> Recording:
     source = recording.takes[0].source
     if fps is None:
         note = f"no time stamps in the file: {ASSUMED_FPS:g} frames a second assumed"
+        note += " (--take-fps sets the rate)"
         notes = recording.notes if recording.timed else (note, *recording.notes)
         return replace(recording, notes=notes)
     if recording.timed:

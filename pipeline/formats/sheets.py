@@ -100,19 +100,20 @@ class _Layout:
     weighted: bool = False  # states that are all 0 or 1 only mark missing joints
 
 
-def _separator(header: str) -> str:
+def separator_of(header: str) -> str:
+    """Return what separates the columns of a header: a comma, semicolon or tab."""
     return max(",;\t", key=header.count)
 
 
 def header_cells(line: str) -> tuple[str, ...]:
     """Return the columns of a header with commas, semicolons or tabs between them."""
-    cells = [cell.strip().strip('"') for cell in line.split(_separator(line))]
+    cells = [cell.strip().strip('"') for cell in line.split(separator_of(line))]
     return tuple("time" if cell.lower() == "time" else cell for cell in cells)
 
 
 def _with_commas(header: str) -> Callable[[str], str]:
     """Return what turns the lines below a header into cells with commas between."""
-    separator = _separator(header)
+    separator = separator_of(header)
 
     def normalize(line: str) -> str:
         line = line.replace('"', "")

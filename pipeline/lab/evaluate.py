@@ -59,6 +59,21 @@ def evaluate(
     ``database`` is by default the built-in one, and with ``mocap`` made of the training
     clips. Raises an InputError if a method is unknown, if people or repetitions are too
     few, or if skeletons differ.
+
+    Besides ``protocol``, ``physics``, ``live`` and the number of ``test_clips``, the
+    result has, as floats or None where unknown:
+
+    - ``methods``: for each, and for raw, ``E``, ``E_std``, ``E_var`` and ``p95`` [cm];
+      ``jitter`` [m/s³]; ``within_68`` and ``within_95``, the two shares of within [%];
+      ``found``; ``ms_per_frame``; ``joints``, E of each [cm]; ``people``, these figures
+      of each; ``movements``, E_var [cm] of each person in each; and counts of clips:
+      ``clips_off``, where a limb is 12 cm off for half a second, ``clips_off_told``, of
+      which the method warns, and ``false_alarms``, the other clips of which it warns
+    - ``reliability_auc``: of each scoring, how well it detects joints ``over_10_cm``
+      off, and ``varying_over_7_cm`` about their constant offset (area under the ROC
+      curve)
+    - ``worse_than_none``: of each method, the number of movements by a person with an
+      E_var over 1 % above that of none, and the number of all
     """
     for items, kind, what in (
         (methods, str | Corrector, "methods"),

@@ -154,7 +154,8 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
         if np.median(apart) > _APART:
             raise InputError(
                 f"the take runs from {take.time[0]:.2f} to {take.time[-1]:.2f} s, "
-                f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}"
+                f"the clip from {times[0]:.2f} to {times[-1]:.2f} s; {_TRY}, or the "
+                "clip as .npz or .glb, which keep the time stamps"
             )
         placed = (in_clip_frame if _has_leveling(clip) else laid_onto_clip)(take, clip)
     except InputError as error:
@@ -174,8 +175,9 @@ def _read_take(path: Path, clip: Clip, body: int | None = None) -> Take:
 def _with_stamps_of(take: Take, clip: Clip) -> Clip:
     """Return the clip with the time stamps of its take, if its file lost them.
 
-    USD starts at 0; BVH has a constant rate as well. A clip that has its own time
-    stamps, or does not match the take's, is returned unchanged.
+    USD starts at 0; BVH has a constant rate as well. A part of the take is where
+    distances between joints change alike. A clip that has its own time stamps, or does
+    not match the take's, is returned unchanged.
     """
     if _has_states(clip):
         return clip
@@ -186,7 +188,18 @@ def _with_stamps_of(take: Take, clip: Clip) -> Clip:
         spread = float(np.ptp(clip.time - take.time))
         if spread < (_SKEW if _has_provenance(clip) else _DRIFT):
             return replace(clip, time=take.time)
-    return clip
+    begin, shorter = 0.0, np.ptp(take.time) - np.ptp(clip.time) > _SAME_LENGTH
+    if len(clip) < 2 or clip.time[0] or (_has_provenance(clip) and not shorter):
+        return clip
+    if shorter:
+        from kinefilter.pipeline.merge import lag
+
+        one, other = (  # a third of the joints is enough, and hours fit into memory
+            lag.distances(lag.Spline(motion.time, motion.positions[:, ::3]))
+            for motion in (clip, take)
+        )
+        begin = lag.best_lag(one, other, float(np.ptp(clip.time)) - _APART) or 0.0
+    return replace(clip, time=clip.time + take.time[0] + begin)
 
 
 def _has_provenance(clip: Clip) -> bool:  # BVH and CSV files have none
