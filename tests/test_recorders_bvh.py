@@ -85,6 +85,7 @@ Head Neck Head
 """
 """As Brekel Pro Body writes it, where every joint has a place of its own in each frame
 and feet end without toes."""
+LAFAN1 = f"{BREKEL}LeftToe LeftFoot FootLeft\nRightToe RightFoot FootRight\n"
 TOES = 0.107  # m ahead of the ankle
 
 
@@ -127,7 +128,11 @@ def bvh(take: Take, tree: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("tree", [ROKOKO, IPI, BREKEL], ids=["rokoko", "ipi", "brekel"])
+@pytest.mark.parametrize(
+    "tree",
+    [ROKOKO, IPI, BREKEL, LAFAN1],
+    ids=["rokoko", "ipi", "brekel", "lafan1"],
+)
 def test_every_joint_is_on_its_side_under_the_names_of_a_recorder(
     tmp_path: Path, tree: str
 ) -> None:
