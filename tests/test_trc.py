@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_mocap_files import standing, write_trc
+from test_mocap_files import standing, write_c3d, write_trc
 from text_files import write_text
 
 from kinefilter.characters import KINECT_V1, InputError
 from kinefilter.pipeline.contents import contents_of
+from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.mocap import read_mocap
+from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.database_build import database_from_mocap
 
 
@@ -29,6 +32,30 @@ def test_a_trc_file_holds_what_was_written_gaps_included(tmp_path: Path) -> None
         assert again.frame_time == pytest.approx(1 / 30, rel=1e-4)
         np.testing.assert_allclose(again.positions, 10.0 * mocap.positions, atol=1e-6)
     assert contents_of(path)["format"] == "trc"
+
+
+def test_missing_rows_are_a_gap_and_a_wrong_rate_is_refused(tmp_path: Path) -> None:
+    mocap = standing(KINECT_V1, "plug_in_gait")
+    lines = write_trc(tmp_path / "a.trc", mocap).read_text().splitlines()
+    fewer = write_text(tmp_path / "b.trc", "\n".join(lines[:9] + lines[12:]))
+    frames = np.delete(np.arange(len(mocap.positions)), [3, 4, 5])
+    np.testing.assert_allclose(read_take(fewer).time, frames / 30, atol=1e-4)
+    lines[2] = lines[2].replace("30\t30", "60\t60", 1)
+    wrong = write_text(tmp_path / "c.trc", "\n".join(lines))
+    with pytest.raises(InputError, match=r"says 60 frames/s, the column Time 30"):
+        read_take(wrong)
+
+
+@pytest.mark.parametrize("write", [write_trc, write_c3d])
+def test_files_of_several_people_are_refused_naming_them(
+    tmp_path: Path, write: Callable[[Path, Mocap], Path]
+) -> None:
+    one = standing(KINECT_V1, "plug_in_gait")
+    names = [f"{who}:{name}" for who in ("Ann", "Bob") for name in one.names]
+    twice = np.tile(one.positions, (1, 2, 1))
+    both = Mocap(tuple(names), twice, None, one.frame_time, "both")
+    with pytest.raises(InputError, match=r"several people \(Ann, Bob\)"):
+        read_take(write(tmp_path / "both.c3d", both))
 
 
 def test_trc_joint_centers_become_a_database(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ comes a row for each frame, with empty cells for missing points.
 
 import os
 import struct
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from kinefilter.characters import InputError
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import frames_per_second
 from kinefilter.pipeline.extras import require
 
 from .bvh import MOST_CELLS
@@ -61,7 +63,21 @@ def read_trc(path: AnyPath) -> Mocap:
     if len(values) < 2:
         raise InputError(f"{source}: has {len(values)} frames, expected at least 2")
     positions = values[:, 2:].reshape(len(values), len(names), 3)
-    return mocap_of_points(names, positions, rate, source)
+    time = _uneven_stamps(values[:, 1], rate, source)
+    return replace(mocap_of_points(names, positions, rate, source), time=time)
+
+
+def _uneven_stamps(time: Array, rate: float, source: str) -> Array | None:
+    """Return time stamps [s] from 0, or None if they are even, as the rate says."""
+    time = time - time[0]
+    if not (np.diff(time) > 0.0).all():  # not every tool fills the column
+        return None
+    stated = frames_per_second(time)
+    if not 0.8 < stated / rate < 1.25:
+        told = f"DataRate says {rate:g} frames/s, the column Time {stated:.4g}"
+        raise InputError(f"{source}: {told}; correct one of them")
+    even = np.abs(time - np.arange(len(time)) / rate) < 0.5 / rate
+    return None if even.all() else time
 
 
 def _data_rate(values: dict[str, str], source: str) -> float:

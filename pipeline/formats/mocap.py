@@ -121,6 +121,7 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
     positions, motion, notes = kinect_joints(mocap, skeleton, rigs)
+    time = mocap.time if time is None else time
     if time is None:
         time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
     takes, others = takes_of_rows(time, positions, motion.state, skeleton, mocap.source)
@@ -182,6 +183,12 @@ def kinect_motion(
         )
     joints = [skeleton.index(joint) for joint in rig.joints]
     columns = [[column[name] for name in row.at] for row in rig.joints.values()]
+    used = {names[k] for at in columns for k in at}
+    twins = [n for n, name in zip(mocap.names, names, strict=True) if name in used]
+    people = dict.fromkeys(n.rpartition(":")[0] for n in twins)
+    if len(twins) > len(used) and len(people) > 1:
+        who = ", ".join(people)
+        raise InputError(f"{mocap.source}: has several people ({who}); export each")
     turned_by = [row.turned_by for row in rig.joints.values() if row.turned_by]
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)

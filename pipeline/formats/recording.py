@@ -327,6 +327,7 @@ class Mocap:
     frame_time: float  # between frames [s]
     source: str
     confidence: Array | None = None  # in each joint, 0 to 1, shape (T, N), if known
+    time: Array | None = None  # of the frames [s], shape (T,), if they are uneven
 
     @property
     def bare_names(self) -> list[str]:
