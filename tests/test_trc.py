@@ -15,6 +15,7 @@ from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
+from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.lab.database_build import database_from_mocap
 
 
@@ -44,6 +45,7 @@ def test_missing_rows_are_a_gap_and_a_wrong_rate_is_refused(tmp_path: Path) -> N
     wrong = write_text(tmp_path / "c.trc", "\n".join(lines))
     with pytest.raises(InputError, match=r"says 60 frames/s, the column Time 30"):
         read_take(wrong)
+    assert claims_take(wrong)  # so that a batch tells of it
 
 
 @pytest.mark.parametrize("write", [write_trc, write_c3d])
@@ -54,8 +56,10 @@ def test_files_of_several_people_are_refused_naming_them(
     names = [f"{who}:{name}" for who in ("Ann", "Bob") for name in one.names]
     twice = np.tile(one.positions, (1, 2, 1))
     both = Mocap(tuple(names), twice, None, one.frame_time, "both")
+    path = write(tmp_path / "both.c3d", both)
     with pytest.raises(InputError, match=r"several people \(Ann, Bob\)"):
-        read_take(write(tmp_path / "both.c3d", both))
+        read_take(path)
+    assert claims_take(path)
 
 
 def test_trc_joint_centers_become_a_database(tmp_path: Path) -> None:

@@ -154,6 +154,21 @@ def plain_name(name: str) -> str:
     return re.sub("^(l|r)(eft|ight)(?=.)", r"\1", plain)
 
 
+def _columns(mocap: Mocap) -> dict[str, int]:
+    """Return the index of each joint by its name, for landmarks also the plain one."""
+    backward = [*enumerate(mocap.bare_names)][::-1]  # of equal names, the first counts
+    column = {name: k for k, name in backward}
+    if mocap.rotations is not None:
+        return column
+    return {plain_name(name): k for k, name in backward} | column
+
+
+def has_joints(mocap: Mocap) -> bool:
+    """Return True if points are joints of a person rather than bare markers."""
+    names, skeletons = _columns(mocap), (KINECT_V1, KINECT_V2)
+    return not all(matching_source_rig(names, s, _POINT_RIGS)[1] for s in skeletons)
+
+
 def kinect_motion(
     mocap: Mocap, skeleton: Skeleton, known: Sequence[str]
 ) -> KinectMotion:
@@ -163,11 +178,7 @@ def kinect_motion(
     shoulders. ``known`` are the rigs to look for (``retarget/source_rigs``). Raises
     InputError if the joints are of no known rig, or in no frame.
     """
-    names = mocap.bare_names
-    backward = [*enumerate(names)][::-1]  # of equal names, the first one counts
-    column = {name: k for k, name in backward}
-    if mocap.rotations is None:
-        column = {plain_name(name): k for k, name in backward} | column
+    names, column = mocap.bare_names, _columns(mocap)
     rig, missing = matching_source_rig(column, skeleton, known)
     if missing and len(missing) == len(rig.needed):
         titles = "; ".join(load_source_rig(name, skeleton).title for name in known)

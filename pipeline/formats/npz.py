@@ -121,8 +121,8 @@ def clip_of_arrays(archive: dict[str, Any]) -> Clip:
     names = (*_ARRAYS, *_ONCE, *_BODY)
     for name in ("skeleton", "source", *names):
         if name not in archive:
-            wrong = f"not a kinefilter clip (no array {name})"
-            raise InputError(f"{wrong}; write it again, without --rig")
+            wrong = f"not a kinefilter clip, or one with --rig (no array {name})"
+            raise InputError(f"{wrong}; 'kinefilter info' tells what it is")
     skeleton = skeleton_named(str(archive["skeleton"]))
     arrays: dict[str, Any] = {name: np.asarray(archive[name]) for name in names}
     arrays |= {name: arrays[name].item() for name in (*_ONCE, "height", "mass")}

@@ -149,7 +149,12 @@ def claims_take(path: AnyPath) -> bool:
         if name == "npy":
             return claims_npy(source)
         if name in ("c3d", "trc"):
-            return bool(read_recording(path, format=name).takes)
+            from .mocap import has_joints, read_mocap  # loads more readers
+
+            try:
+                return has_joints(read_mocap(path))
+            except InputError:  # damaged, or there is no reader of C3D
+                return name == "trc"
         return name in ("bvh", "freemocap") or bool([float(w) for w in _words(line)])
     except (InputError, ValueError):
         return False
