@@ -36,7 +36,7 @@ def _metric(meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality metrics of one motion."""
+    """Quality metrics of one motion; ``METRICS`` has the meaning of each."""
 
     skate_mm_per_frame: float = _metric("slide of feet on the floor, mm per frame")
     skate_share_over_0p2: float = _metric("share of such frames over 0.2 m/s")

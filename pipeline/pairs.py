@@ -26,10 +26,17 @@ from .formats.recording import FARTHEST
 
 @dataclass(frozen=True, eq=False)
 class PairedTake:
-    """A take and the simultaneous marker mocap of its frames, the ground truth."""
+    """A take and the simultaneous marker mocap of its frames, the ground truth.
 
-    take: Take  # the recording
-    truth: Array  # mocap joints [m], the take's frame, NaN where missing, (T, J, 3)
+    Attributes:
+        take: The recording.
+        truth: Mocap joints [m], the take's frame, NaN where missing, (T, J, 3).
+        subject: Name of the person.
+        clip: Name of the clip, which begins with that of its movement: m01_s02_e05.
+    """
+
+    take: Take
+    truth: Array
     subject: str
     clip: str
 

@@ -1,13 +1,19 @@
-"""The help of commands: how it looks on a terminal."""
+"""The help of commands, as it looks on a terminal, and of classes in Python."""
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import re
+from dataclasses import fields
 
 import pytest
 
+from kinefilter import CleanResult, Pose, PostureDatabase, Take
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct import Correction, Observation
+from kinefilter.pipeline.merge import Merged
+from kinefilter.pipeline.pairs import PairedTake
 
 
 @pytest.mark.parametrize("name", ["batch", "clean", "evaluate", "live", "view"])
@@ -30,3 +36,14 @@ def test_help_wraps_a_line_only_where_the_next_word_does_not_fit(
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert re.fullmatch(r"kinefilter \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [CleanResult, Correction, Merged, Observation]
+    + [PairedTake, Pose, PostureDatabase, Take],
+)
+def test_every_field_of_what_functions_take_and_return_is_explained(kind: type) -> None:
+    told = inspect.getdoc(kind) or ""
+    for field in fields(kind):
+        assert f"    {field.name}: " in told, field.name

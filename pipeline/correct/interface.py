@@ -34,15 +34,22 @@ class Observation(_Arrays):
     """A frame on the standard body, root at the origin, facing +z.
 
     For a whole take, every array except ``lengths`` has a leading axis T.
+
+    Attributes:
+        positions: Joint positions [m], NaN where missing, shape (J, 3).
+        reliability: Reliability in [0, 1], shape (J,).
+        geometry: Reliability without the tracking state, shape (J,).
+        time: Time stamp [s]; for a take strictly increasing, shape (T,).
+        lengths: The person's own segment lengths [m], shape (J,).
+        sensor: Position of the sensor [m] in the heading frame, shape (3,).
     """
 
-    positions: Array  # joint positions [m], NaN where missing, shape (J, 3)
-    reliability: Array  # reliability in [0, 1], shape (J,)
-    geometry: Array  # reliability without the tracking state, shape (J,)
-    time: Any = 0.0  # time stamp [s]; for a take strictly increasing, shape (T,)
-    lengths: Array | None = None  # the person's own segment lengths [m], shape (J,)
+    positions: Array
+    reliability: Array
+    geometry: Array
+    time: Any = 0.0
+    lengths: Array | None = None
     sensor: Array | None = None
-    """Position of the sensor [m] in the heading frame, shape (3,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +57,22 @@ class Correction(_Arrays):
     """A corrected frame, in the heading frame and body size of the observation.
 
     For a whole take, every array has a leading axis T.
+
+    Attributes:
+        positions: Joint positions [m], shape (J, 3). A method for whole takes may leave
+            NaN.
+        rotations: Segment rotations of similar postures, wxyz, shape (J, 4), from which
+            the twist about each bone is taken; None if the method has none.
+        confidence: Share of the measurement in each joint, 0 without a measurement,
+            shape (J,).
+        coverage: How well the method knows the posture, in [0, 1]: a number, or for a
+            take an array of shape (T,); NaN if the method cannot say.
     """
 
     positions: Array
-    """Joint positions [m], shape (J, 3). A method for whole takes may leave NaN."""
     rotations: Array | None
-    """Segment rotations of similar postures, wxyz, shape (J, 4), from which the twist
-    about each bone is taken; None if the method has none."""
     confidence: Array
-    """Share of the measurement in each joint, 0 without a measurement, shape (J,)."""
     coverage: Any
-    """How well the method knows the posture, in [0, 1]: a number, or for a take an
-    array of shape (T,); NaN if the method cannot say."""
 
 
 class Corrector:

@@ -43,16 +43,27 @@ _MAX_DISTANCE = 100.0  # m from one sensor to another
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """What several sensors recorded of a person, as one take."""
+    """What several sensors recorded of a person, as one take.
 
-    take: Take  # with the first sensor's clock and frame
-    reliability: Array  # mean over the sensors that count, shape (T, J)
-    shares: Array  # of each sensor in each joint, adding up to 1 or 0, (T, S, J)
-    swapped: Flags  # which sensors had left and right swapped, shape (T, S)
-    seen: tuple[Array, ...]  # each sensor's joints [m] in the take's frame, (T, J, 3)
-    alignments: tuple[Alignment, ...]  # of the second sensor, the third and so on
-    takes: tuple[Take, ...]  # one per sensor, with gross failures repaired
-    notes: tuple[str, ...] = ()  # what users should know about who is who
+    Attributes:
+        take: The merged take, with the first sensor's clock and frame.
+        reliability: Mean over the sensors that count, shape (T, J).
+        shares: Share of each sensor in each joint, adding up to 1 or 0, (T, S, J).
+        swapped: Which sensors had left and right swapped, shape (T, S).
+        seen: Each sensor's joints [m] in the take's frame, (T, J, 3).
+        alignments: Clock and place of the second sensor, the third and so on.
+        takes: One per sensor, with gross failures repaired.
+        notes: What users should know about who is who.
+    """
+
+    take: Take
+    reliability: Array
+    shares: Array
+    swapped: Flags
+    seen: tuple[Array, ...]
+    alignments: tuple[Alignment, ...]
+    takes: tuple[Take, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -259,7 +270,7 @@ def clean_session(
     edits: Sequence[Edit] | None = None,
     progress: Progress = silent,
 ) -> tuple[CleanResult, Merged]:
-    """Return the clip of a person whom several sensors recorded, and the merged take.
+    """Clean several sensors' takes of a person; return the result and the merged take.
 
     Each sensor's take is corrected separately, with left and right as agreed among the
     sensors, since methods know a sensor's errors and depend on where it stands. The
