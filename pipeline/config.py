@@ -177,12 +177,8 @@ class CleanConfig:
         if self.cutoff != 0.0 and not 0.5 <= self.cutoff < float("inf"):
             expected = "0 (no smoothing) or at least 0.5; 6 keeps human motion"
             raise InputError(f"--cutoff {self.cutoff:g} Hz: expected {expected}")
-        needs = {
-            "scene": "physics",
-            "tracking": "physics",
-            "same_person": "reconstruct",
-        }
-        for name, need in needs.items():
+        for name in ("scene", "tracking", "same_person"):
+            need = "reconstruct" if name == "same_person" else "physics"
             if getattr(self, name) != vars(CleanConfig)[name] and not vars(self)[need]:
                 told = f"--{name.replace('_', '-')} needs --{need}"
                 off = f"--preset {self.preset}" if self.preset else f"--no-{need}"

@@ -38,11 +38,13 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"kinefilter \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [CleanResult, Correction, Merged, Observation]
-    + [PairedTake, Pose, PostureDatabase, Take],
+PUBLIC = (
+    *(CleanResult, Correction, Merged, Observation),
+    *(PairedTake, Pose, PostureDatabase, Take),
 )
+
+
+@pytest.mark.parametrize("kind", PUBLIC)
 def test_every_field_of_what_functions_take_and_return_is_explained(kind: type) -> None:
     told = inspect.getdoc(kind) or ""
     for field in fields(kind):

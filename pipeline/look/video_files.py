@@ -26,10 +26,9 @@ Coded = tuple[bytes, bool]  # an encoded picture, and whether it is a keyframe
 Parts = Iterable[list[Coded]]
 
 # x264's quality 18 is said to look lossless; above 18, lines on the floor suffer.
-# x264's vector code for small pictures varies with what was in memory before.
-_X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"} | {
-    "x264-params": "cpu-independent=1"
-}
+_X264 = {"preset": "veryfast", "crf": "18", "bf": "0", "threads": "1"}
+# Otherwise its vector code for small pictures depends on what was in memory before.
+_X264["x264-params"] = "cpu-independent=1"
 _LARGEST_RATE = 100_000  # denominator of a frame rate
 _HUNDREDTH = Fraction(1, 100)  # s, the time unit of a GIF
 
