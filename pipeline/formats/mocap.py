@@ -199,7 +199,9 @@ def kinect_motion(
     people = dict.fromkeys(n.rpartition(":")[0] for n in twins)
     if len(twins) > len(used) and len(people) > 1:
         who = ", ".join(people)
-        raise InputError(f"{mocap.source}: has several people ({who}); export each")
+        raise InputError(
+            f"{mocap.source}: has several people ({who}); export one per file"
+        )
     turned_by = [row.turned_by for row in rig.joints.values() if row.turned_by]
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
