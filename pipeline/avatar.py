@@ -54,8 +54,10 @@ class Avatar:
     +x); without one, where the sensor sees them. The height of the ``floor`` in the
     sensor's frame [m] is by default tracked under the feet. ``tracking`` has the gains
     that pull the character, or is one of TRACKINGS by name: game yields to pushes and
-    gets up again. The ``corrector`` is by default that of ``clean``, and ``measured``,
-    the person's segment lengths as the sensor shows them, those of the body;
+    gets up again. The ``corrector`` is by default that of ``clean`` for a Kinect; for
+    joints of another tracker, which it would move by centimeters, give
+    ``LocalPCA(builtin_database(KINECT_V2))``. ``measured``, the person's segment
+    lengths as the sensor shows them, are by default those of the body;
     ``Cleaner.measure`` finds both in a second of frames, which is more accurate.
 
     Avatars with the same ``SharedScene`` push each other and the same props. ``step``

@@ -19,6 +19,8 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.correct import LocalPCA
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.scenes import SAMPLE
 from kinefilter.scenes.library import perform
 
@@ -28,6 +30,14 @@ BODY = standard_body(KINECT_V1)
 
 def follow(avatar: Avatar, positions: Array) -> list[Pose]:
     return [avatar.step(frame, k / 30.0) for k, frame in enumerate(positions)]
+
+
+def test_joints_of_another_tracker_stay_where_they_are_with_local_pca() -> None:
+    act, method = perform("wave", BODY, seed=3), LocalPCA(builtin_database(KINECT_V1))
+    poses = follow(Avatar(BODY, floor=0.0, corrector=method), act.positions)
+    found = np.array([pose.positions for pose in poses])[30:]
+    apart = (found - found[:, :1]) - (act.positions - act.positions[:, :1])[30:]
+    assert np.linalg.norm(apart, axis=-1).mean() < 0.01
 
 
 def test_a_performance_is_followed_in_the_same_frame() -> None:

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
+from published_layouts import landmarks
+from test_keypoints import scripted
 
+from kinefilter import scenes
+from kinefilter.pipeline.cli import main
+from kinefilter.pipeline.formats.keypoints import BLAZEPOSE
 from kinefilter.pipeline.live.endpoints import parse_address
 from kinefilter.pipeline.live.messages import format_frame
 from kinefilter.pipeline.live.playback import frames_of, open_sender, replay
@@ -59,6 +65,16 @@ def test_a_replay_round_and_round_goes_on_in_time() -> None:
     steps = np.diff(times)
     assert (steps > 0).all()
     assert steps[len(SAMPLE) - 1] == pytest.approx(1 / 30, abs=2e-3)
+
+
+def test_a_replay_of_another_tracker_tells_that_live_expects_a_kinect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, landmarks(scripted(frames=5), BLAZEPOSE))
+    for take, told in ((path, True), (scenes.SAMPLE, False)):
+        assert main(["replay", str(take), "--out", "-", "--speed", "1e6"]) == 0
+        assert ("not from a Kinect" in capsys.readouterr().err) == told
 
 
 def test_a_replay_connects_again_when_live_comes_back() -> None:

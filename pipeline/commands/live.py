@@ -41,7 +41,8 @@ class Live:
     ws://127.0.0.1:9001 sends poses to web pages that this machine serves (one opened as
     a file needs --origin null), which read them with new
     WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data). Each person is
-    measured during the first second unless --height is given. A sensor that is upside
+    measured during the first second unless --height is given. Joints are corrected as a
+    Kinect's, which moves those of other trackers by centimeters. A sensor upside
     down or strongly tilted is reported and corrected for. The newest frame wins; late,
     missing, malformed and dropped frames are counted, as are frames with an impossible
     body. Several sensors, with one --in each, follow people together: their placement
@@ -185,6 +186,8 @@ class Replay:
         """Send the take, until it ends or a signal arrives."""
         address = parse_address(self.out, ("udp", "ws", "wss", "-"))
         takes = read_recording(self.take, format=self.format).takes
+        if not takes[0].by_kinect:
+            err.print("joints not from a Kinect, which 'live' corrects as a Kinect's")
         sent = asyncio.run(self._sent(takes, address))
         err.print(f"sent {counted(sent, 'frame')} of {takes[0].skeleton.name}")
         return 0
