@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Codes, Flags
+from kinefilter.characters.arrays import Array, Codes, Flags, chunks
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import measured_body
 
+_CHUNK = 4096  # frames at a time, to bound the memory
 _AVERAGED = 6  # frames over which scores are averaged (eq. 8)
 _LATELY = 300  # frames whose mean is the usual score in live motion. A guess.
 
@@ -246,10 +247,10 @@ class ReliabilityScorer:
         """Reset the state for a new motion."""
         n = len(self.skeleton)
         self._frames = 0
-        self._last = np.full((n, 3), np.nan)
-        self._moved, self._distance = np.zeros((n, 3)), np.zeros(n)
-        self._angles = np.zeros((self._vibration, n))
-        self._scores = np.zeros((len(self._weights), 2, n))
+        # What is averaged with the next frames, oldest first.
+        self._last = np.full((2, n, 3), np.nan)
+        self._angles = np.zeros((self._vibration - 1, n))
+        self._scores = np.zeros((len(self._weights) - 1, 2, n))
 
     def step(
         self,
@@ -262,44 +263,59 @@ class ReliabilityScorer:
         Joint positions [m] (J, 3) are NaN where missing; the states (J,) are State's.
         The time stamp [s] is for scorers that need it; without one, they assume 30 Hz.
         """
-        behavior = self._behavior(positions)
-        kinematics = self._kinematics(positions)
-        tracked = (state == State.TRACKED).astype(float)  # eq. 7
-        terms = np.array([behavior, kinematics, tracked])
-        term = terms.argmin(axis=0).astype(np.uint8)
-        geometry = np.minimum(behavior, kinematics)
-        self._scores[1:] = self._scores[:-1]
-        self._scores[0] = np.minimum(geometry, tracked), geometry
-        # Eq. 8, with weights normalized over the frames so far.
-        weights = self._weights[min(self._frames, len(self._weights) - 1)]
-        self._frames += 1
-        reliability, geometry = np.einsum("f,fkj->kj", weights, self._scores)
-        return reliability, term, geometry
+        reliability, term, geometry = self._next(positions[None], state[None])
+        return reliability[0], term[0], geometry[0]
 
     def score(self, take: Take) -> Scores:
         """Score a whole take, as ``start`` and a ``step`` for each frame do."""
         self.start()
-        reliability, geometry = (np.empty(take.state.shape) for _ in range(2))
-        term = np.empty_like(take.state)
-        for k, time in enumerate(take.time.tolist()):
-            scores = self.step(take.positions[k], take.state[k], time)
-            reliability[k], term[k], geometry[k] = scores
+        parts = [
+            self._next(take.positions[k], take.state[k], take.time[k])
+            for k in chunks(len(take), _CHUNK)
+        ]
+        reliability, term, geometry = map(np.concatenate, zip(*parts, strict=True))
         return Scores(reliability, term, geometry)
+
+    def _next(
+        self,
+        positions: Array,
+        state: Codes,
+        time: Array | None = None,  # noqa: ARG002 - see ``step``
+    ) -> tuple[Array, Codes, Array]:
+        """Return reliability, deciding term and geometry of the next frames, (T, J)."""
+        behavior, kinematics = self._behavior(positions), self._kinematics(positions)
+        tracked = (state == State.TRACKED).astype(float)  # eq. 7
+        terms = np.array([behavior, kinematics, tracked])
+        term = terms.argmin(axis=0).astype(np.uint8)
+        geometry = np.minimum(behavior, kinematics)
+        scores = np.stack([np.minimum(geometry, tracked), geometry], axis=1)
+        scores = np.concatenate([self._scores, scores])
+        count, kept = len(positions), len(self._scores)
+        # Eq. 8, with weights normalized over the frames so far.
+        frames = self._frames + np.arange(count)
+        weights = self._weights[np.minimum(frames, kept)]
+        mean = np.zeros((count, *scores.shape[1:]))
+        for age, weight in enumerate(weights.T):
+            mean += weight[:, None, None] * scores[kept - age :][:count]
+        self._frames, self._scores = self._frames + count, scores[count:]
+        return mean[:, 0], term, mean[:, 1]
 
     def _behavior(self, positions: Array) -> Array:
         """Return the behavior term, which sharp turns lower (eq. 1-4)."""
-        moved = positions - self._last
+        path = np.concatenate([self._last, positions])
+        self._last = path[-2:]
+        moved = np.diff(path, axis=0)
         distance = np.sqrt(np.vecdot(moved, moved))
         # False where a position is missing: then there is no angle.
-        turned = np.minimum(self._distance, distance) > self._least
-        both = np.where(turned, self._distance * distance, 1.0)
-        cosine = np.vecdot(self._moved, moved) / both
+        turned = np.minimum(distance[:-1], distance[1:]) > self._least
+        both = np.where(turned, distance[:-1] * distance[1:], 1.0)
+        cosine = np.vecdot(moved[:-1], moved[1:]) / both
         # Eq. 3 prints the cosine, but its thresholds are angles.
         angle = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
-        self._angles[:-1] = self._angles[1:]
-        self._angles[-1] = np.where(turned, angle, 0.0)
-        self._last, self._moved, self._distance = positions.copy(), moved, distance
-        mean = self._angles.sum(axis=0) / self._vibration
+        angles = np.concatenate([self._angles, np.where(turned, angle, 0.0)])
+        self._angles = angles[len(positions) :]
+        some = (angles[k:][: len(positions)] for k in range(self._vibration))
+        mean = sum(some, np.zeros(())) / self._vibration
         excess = np.maximum(np.minimum(mean, self._roof) - self._floor, 0.0)
         return np.asarray(1.0 - excess / max(self._roof - self._floor, 1e-9))
 
@@ -309,4 +325,4 @@ class ReliabilityScorer:
         lengths = np.sqrt(np.vecdot(bones, bones))
         ratio = np.abs(lengths - self._lengths) / self._lengths
         ratio = np.fmin(ratio, 1.0)  # 1 where it is NaN
-        return np.asarray(1.0 - self._touch @ ratio)
+        return np.asarray(1.0 - (self._touch @ ratio[..., None])[..., 0])

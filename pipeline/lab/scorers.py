@@ -16,7 +16,7 @@ from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.special import expit
@@ -71,7 +71,15 @@ _STATE = int(_STARTS[Term.TRACKING_STATE])
 _ARRAYS = ("usual", "weights", "intercepts")
 
 
-class NoiseReliabilityScorer(ReliabilityScorer):
+class _EachFrame(ReliabilityScorer):
+    """Scores the frames of a take one by one."""
+
+    def _next(self, positions: Array, state: Codes, time: Any = None) -> Any:
+        rows = zip(positions, state, time.tolist(), strict=True)
+        return map(np.array, zip(*(self.step(*row) for row in rows), strict=True))
+
+
+class NoiseReliabilityScorer(_EachFrame):
     """Scores frame by frame; a whole take gets the same scores.
 
     Noise is relative to the root, and the root's own to the room. Reliability is a
@@ -336,7 +344,7 @@ def _clues_and_errors(pair: PairedTake) -> tuple[Array, Array]:
 
 
 @dataclass(eq=False, repr=False)
-class ChiangReliabilityScorer(ReliabilityScorer):
+class ChiangReliabilityScorer(_EachFrame):
     """Scores frame by frame; a whole take gets the same scores.
 
     An inferred joint is as reliable as its segments and its motion are plausible; only
