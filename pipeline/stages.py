@@ -32,6 +32,7 @@ from .failures.limb_failures import guessed_knees
 from .methods import SCORERS, load
 from .progress import Progress
 from .reliability import UsualScores, measure_body, measure_reference, rest_reference
+from .workers import one_blas_thread
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
 CHUNK = 4096
@@ -74,19 +75,23 @@ class Stage(ABC):
             setattr(draft, name, np.array(values))
 
     def run(self, draft: Draft, progress: Progress) -> None:
-        """Process a whole take, split at long gaps if the stage is ``in_parts``."""
-        parts = draft.parts if self.in_parts else [draft]
-        if len(parts) == 1:
-            self.whole(draft, progress)
-            return
-        steps = iter(progress(self.name, len(draft.time)))  # one bar for all parts
+        """Process a whole take, split at long gaps if the stage is ``in_parts``.
 
-        def advance(_stage: str, count: int) -> Iterator[int]:
-            return (k for k, _ in zip(range(count), steps, strict=False))
+        One thread: on two busy cores, two make the whole cleaning take twice as long.
+        """
+        with one_blas_thread():
+            parts = draft.parts if self.in_parts else [draft]
+            if len(parts) == 1:
+                self.whole(draft, progress)
+                return
+            steps = iter(progress(self.name, len(draft.time)))  # one bar for all parts
 
-        for part in parts:
-            self.whole(part, advance)
-        draft.join(parts)
+            def advance(_stage: str, count: int) -> Iterator[int]:
+                return (k for k, _ in zip(range(count), steps, strict=False))
+
+            for part in parts:
+                self.whole(part, advance)
+            draft.join(parts)
 
 
 class SharedStage(Stage):

@@ -14,13 +14,13 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from typing import Any, ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL")}
 _GRACE = 5.0  # s to finish a file once the work was given up
@@ -65,6 +65,20 @@ def one_thread() -> Iterator[None]:
     # The environment is for libraries loaded later, and for new processes.
     with set_variables(_ONE_THREAD), threadpool_limits(1):
         yield
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit linear algebra to one thread here, which takes less than 0.1 ms."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@cache  # to find them takes milliseconds
+def _libraries() -> ThreadpoolController:
+    import scipy.linalg  # noqa: F401 - has a BLAS of its own
+
+    return ThreadpoolController()
 
 
 @contextmanager

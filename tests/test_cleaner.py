@@ -13,11 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from real_data import PAIRS, paired
 from skeletons import every_skeleton
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import kinefilter
 from kinefilter import Avatar, CleanConfig, Cleaner, InputError, clean
 from kinefilter.characters import KINECT_V1, Skeleton, Take, standard_body
-from kinefilter.pipeline.correct import Correction, Corrector, Observation
+from kinefilter.pipeline.correct import Correction, Corrector, Hold, Observation
+from kinefilter.pipeline.correct.interface import Frames
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.accuracy import Tally
 from kinefilter.pipeline.lab.evaluate import evaluate
@@ -202,6 +204,20 @@ class Still(Corrector):
     def step(self, observation: Observation) -> Correction:
         nothing = np.zeros(len(observation.positions))
         return Correction(self._rest, None, nothing, 1.0)
+
+
+def test_a_take_is_cleaned_in_one_thread(take: Take) -> None:
+    threads = set[int]()
+
+    class Counting(Hold):
+        def whole(self, take: Observation, frames: Frames = None) -> Correction:
+            threads.update(x["num_threads"] for x in threadpool_info())
+            return super().whole(take, frames)
+
+    counting = Counting(take.skeleton)
+    with threadpool_limits(2, "blas"):
+        Cleaner(corrector=counting).until("correct").whole(take)
+    assert threads == {1}
 
 
 def test_another_correction_takes_the_place_of_the_named_one(take: Take) -> None:

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from threadpoolctl import ThreadpoolController
 
 from kinefilter.characters.arrays import Array, Indices, runs
 from kinefilter.characters.rotations import unit
+from kinefilter.pipeline.workers import one_blas_thread
 
 from .continuity import CONTEXT
 from .prior import MotionPrior
@@ -33,7 +33,6 @@ _FOLDS = 4  # parts of the take, each predicted from the others
 _MOMENTUM = 1.0  # share of its speed that a limb keeps, unless the take shows more
 _DOUBT = 0.1  # departure of a direction against which that share is weighed
 _BLUR = 0.2  # s: shorter holes in the frames that are seen are ignored
-_BLAS = ThreadpoolController()  # found once, which takes milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +139,7 @@ def learn(
     momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving
     # With two threads, a matrix this small can take half a second on a busy machine.
-    with _BLAS.limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         kernel = kernel_between(features, features)
         weight = _weight(kernel, targets, begins, ends)
         process = Process.of(kernel, targets) if weight > 0.0 else None
