@@ -156,18 +156,19 @@ def rotations_from_positions(
     prior, it comes from the parent segment, turned likewise.
     """
     skeleton, rest = body.skeleton, body.rest_offsets
-    ends, starts = skeleton.segments, skeleton.segment_parents
     rotations = np.empty((*positions.shape[:-1], 4))
     pelvis, plane = _pelvis_frame(positions, skeleton)
     pelvis = multiply(pelvis, _from_rest_pelvis(body))
     rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, _UNTURNED)
     if prior is not None:
+        ends = skeleton.segments
         turns, bones = prior.take(ends, -2), skeleton.bones(positions)
         rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
         return rotations
-    for j, p in zip(ends, starts, strict=True):
-        bone = positions[..., j, :] - positions[..., p, :]
-        rotations[..., j, :] = _aligned(rotations[..., p, :], rest[j], bone)
+    for ends, starts in skeleton.generations:
+        bones = positions.take(ends, -2) - positions.take(starts, -2)
+        turns = rotations.take(starts, -2)
+        rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
     return rotations
 
 
