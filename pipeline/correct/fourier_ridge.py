@@ -120,34 +120,34 @@ class FourierRidge(LearnedCorrector):
         self._means: tuple[Any, ...] = ()
 
     def _prepare(self) -> None:
-        parts = self._posture_features.parts
-        every = np.ones(len(self.mean_), dtype=bool)
-        centers = [(every, self.centers_), (every, self.far_centers_)]
-        of_parts = (self.arm_centers_, self.leg_centers_, self.trunk_centers_)
-        centers += zip((part.own for part in parts), of_parts, strict=True)
-        # Of whole takes, then of live motion.
-        self._features = list[list[RandomFeatures]]()
-        self._centers = list[list[tuple[Indices, Singles, Singles]]]()
-        self._mirrors = list[tuple[Indices, Singles]]()
-        order, signs = self._posture_features.mirror
-        for weights, columns in (
-            (self.weights_, np.arange(len(every))),
-            (self.live_weights_, self._posture_features.live),
-        ):
-            mean, seed = self.mean_[columns], int(self.seed_)
-            count = len(weights) - len(mean)
-            self._features.append(
-                [RandomFeatures(mean, count, seed, p.weights[columns]) for p in parts]
-            )
-            own_order = np.asarray(np.searchsorted(columns, order[columns]))
-            self._mirrors.append((own_order, signs[columns].astype(np.float32)))
-            self._centers.append([])
-            for own, found in centers:
-                kept = np.isin(np.flatnonzero(own), columns)
-                near = np.ascontiguousarray(found[:, kept])
-                own_columns = np.flatnonzero(own[columns])
-                self._centers[-1].append((own_columns, near, np.sum(near**2, axis=1)))
+        self._inputs = dict[bool, _Inputs]()
         self.select_person(None)
+
+    def _inputs_of(self, *, live: bool) -> _Inputs:
+        """Return the features of live motion or of takes, made when first needed."""
+        if live in self._inputs:
+            return self._inputs[live]
+        described, every = self._posture_features, np.ones(len(self.mean_), dtype=bool)
+        columns = described.live if live else np.arange(len(every))
+        mean, seed = self.mean_[columns], int(self.seed_)
+        count = len(self.live_weights_ if live else self.weights_) - len(mean)
+        random = [
+            RandomFeatures(mean, count, seed, part.weights[columns])
+            for part in described.parts
+        ]
+        order, signs = described.mirror
+        own_order = np.asarray(np.searchsorted(columns, order[columns]))
+        mirror = own_order, signs[columns].astype(np.float32)
+        of_parts = (self.arm_centers_, self.leg_centers_, self.trunk_centers_)
+        found = [(every, self.centers_), (every, self.far_centers_)]
+        found += zip((part.own for part in described.parts), of_parts, strict=True)
+        centers = list[tuple[Indices, Singles, Singles]]()
+        for own, there in found:
+            kept = np.isin(np.flatnonzero(own), columns)
+            near = np.ascontiguousarray(there[:, kept])
+            own_columns = np.flatnonzero(own[columns])
+            centers.append((own_columns, near, np.sum(near**2, axis=1)))
+        return self._inputs.setdefault(live, _Inputs(random, mirror, centers))
 
     def select_person(self, person: str | None) -> None:
         """Select a person from the training data by name; others are strangers."""
@@ -176,13 +176,14 @@ class FourierRidge(LearnedCorrector):
         These are of the whole posture to frontal and to side-on training data, shape
         (T, 2), and of the part of each known joint to its own, shape (T, M).
         """
-        described, (order, signs) = self._posture_features, self._mirrors[live]
+        described, inputs = self._posture_features, self._inputs_of(live=live)
+        order, signs = inputs.mirror
         sides = np.concatenate([features, features[:, order] * signs])
         count = len(features)
-        whole, by_part = self._centers[live][:2], self._centers[live][2:]
+        whole, by_part = inputs.centers[:2], inputs.centers[2:]
         weights, constants = self._offsets[live]
         predicted, first = [], 0
-        for part, random in zip(described.parts, self._features[live], strict=True):
+        for part, random in zip(described.parts, inputs.random, strict=True):
             last = first + 3 * len(part.joints)
             own = weights[..., first:last, :].mT
             predicted.append(random(sides).reshape(2, 1, count, -1) @ own)
@@ -283,6 +284,16 @@ class FourierRidge(LearnedCorrector):
                 moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
+
+
+class _Inputs(NamedTuple):
+    """What the features of motions are, and what is known of them."""
+
+    random: list[RandomFeatures]  # of each part
+    mirror: tuple[Indices, Singles]  # order and signs of those of the mirror image
+    centers: list[tuple[Indices, Singles, Singles]]
+    """Columns, training data and their squared lengths: of the whole posture, frontal
+    and side-on, and of each part."""
 
 
 class _Offsets(NamedTuple):
