@@ -177,8 +177,9 @@ def test_a_sensor_beside_a_person_does_not_turn_them() -> None:
     turning = np.linspace(0.0, np.radians(90.0), 120)
     headings = np.concatenate([np.zeros(90), turning, np.full(90, turning[-1])])
     seen = [np.minimum(headings, np.radians(30.0)), np.maximum(headings, beside)]
-    frames = [(yaws, angles, 1.0 / 30.0) for yaws in np.transpose(seen)]
-    away = np.abs(Facing().whole(frames) - headings)
+    yaws, elapsed = np.transpose(seen), np.full(300, 1.0 / 30.0)
+    facing = Facing().whole(yaws, np.tile(angles, (300, 1)), elapsed)
+    away = np.abs(facing - headings)
     assert away.max() < np.radians(30.0)
     assert away[[*range(70), *range(230, 300)]].max() < np.radians(6.0)
 

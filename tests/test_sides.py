@@ -12,8 +12,8 @@ from real_data import DATA, recorded
 from sides_figures import figures_of
 from skeletons import every_skeleton
 
-from kinefilter.characters import KINECT_V2, Skeleton, State
-from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
+from kinefilter.characters import KINECT_V2, Skeleton, State, standard_body
+from kinefilter.pipeline.failures.sides import Sides, swapped_back, swapped_frames
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
 from kinefilter.pipeline.lab.view_sessions import find_sessions
 
@@ -120,3 +120,19 @@ def test_recorded_walkers_have_limbs_where_another_sensor_has_them() -> None:
     assert backward > 20.0
     assert less < 0.4 * backward
     assert still_wrong < wrong + 0.5
+
+
+def test_the_best_choice_so_far_ends_the_cheapest_path_so_far() -> None:
+    rng, count = np.random.default_rng(0), 300
+    seen = np.tile(standard_body(KINECT_V2).rest_positions, (count, 3, 1, 1))
+    seen += rng.normal(scale=0.2, size=seen.shape)
+    some = rng.random((count, 3)) < 0.5
+    seen[some] = seen[some][:, KINECT_V2.mirror]
+    seen[:20, 1] = seen[100:130] = seen[200:270, 2] = np.nan  # not seen at all
+    seen[rng.random(seen.shape[:3]) < 0.1] = np.nan
+    weights, sides = rng.random(seen.shape[:3]), Sides(KINECT_V2, 3)
+    steps = [sides.step(*frame) for frame in zip(seen, weights, strict=True)]
+    assert len({tuple(step) for step in steps}) > 4
+    for k in range(1, count + 1, 5):
+        path = sides.whole(seen[:k], weights[:k])
+        np.testing.assert_array_equal(path[-1], steps[k - 1])

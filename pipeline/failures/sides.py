@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags, Indices
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.retarget import find_yaw
 
 from .trunk import steadied
@@ -30,6 +30,7 @@ from .trunk import steadied
 # two-kinects; what it costs to walk backward and to be swapped, and what is only for a
 # single sensor, on the latter, on s02, s03 and s04 of UI-PRMD, and on simulated people
 # who turn on the spot (seeds 90000 to 90020).
+_CHUNK = 256  # frames at a time, to bound the memory
 _FAR = 0.5  # m; joints farther apart cost no more
 _BEND = 0.15  # m by which limbs are in front of a body that certainly faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
@@ -67,33 +68,37 @@ class CheapestPath:
 
     def start(self) -> None:
         """Reset the state for a new motion."""
-        self._costs = np.zeros(len(self._choices))
+        self._costs_so_far = np.zeros(len(self._choices))
 
-    def step(self, *seen: Any) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the best choice so far, and what ``whole`` needs to trace back.
+    def step(self, *seen: Any) -> Any:
+        """Return the best choice so far, given what is seen in the next frame."""
+        ((ways, costs),) = self._costs(*(np.asarray(part)[None] for part in seen))
+        return self._next(ways, costs)[0]
 
-        ``seen`` are the arguments of ``_next``, or what a subclass finds them from.
-        """
-        return self._next(*seen)
+    def whole(self, *seen: NDArray[Any]) -> NDArray[Any]:
+        """Return the choice in each frame (T, ...), given what is seen (T, ...)."""
+        self.start()
+        some = chunks(len(seen[0]), _CHUNK)
+        frames = (frame for k in some for frame in self._costs(*(x[k] for x in seen)))
+        predecessors = [self._next(*frame)[1] for frame in frames]
+        path = [int(self._costs_so_far.argmin())]
+        for before in predecessors[:0:-1]:
+            path.append(int(before[path[-1]]))
+        return self._choices[path[::-1]]
+
+    def _costs(self, *seen: Any) -> Iterable[tuple[Array, Array]]:
+        """Yield the arguments of ``_next`` for frames; here they are what is seen."""
+        return zip(*seen, strict=True)
 
     def _next(self, ways: Array, costs: Array) -> tuple[Any, NDArray[np.uint16]]:
         """Return the best choice, and each one's predecessor on its cheapest path.
 
         ``costs`` are those of the choices (N,), ``ways`` those of getting there (N, N).
         """
-        ways = self._costs[:, None] + ways
+        ways = self._costs_so_far[:, None] + ways
         costs = costs + ways.min(axis=0)
-        self._costs = costs - costs.min()
+        self._costs_so_far = costs - costs.min()
         return self._choices[costs.argmin()], ways.argmin(axis=0).astype(np.uint16)
-
-    def whole(self, frames: Iterable[tuple[Any, ...]]) -> NDArray[Any]:
-        """Return the choice in each frame (T, ...), given the arguments of ``step``."""
-        self.start()
-        predecessors = [self.step(*frame)[1] for frame in frames]
-        path = [int(self._costs.argmin())]
-        for before in predecessors[:0:-1]:
-            path.append(int(before[path[-1]]))
-        return self._choices[path[::-1]]
 
 
 class Sides(CheapestPath):
@@ -109,33 +114,42 @@ class Sides(CheapestPath):
     def start(self) -> None:
         """Reset the state for a new motion."""
         super().start()
-        self._last: list[tuple[Array, Array] | None] = [None] * self._choices.shape[1]
+        shape = self._choices.shape[1], len(self._paired)
+        self._last = np.full((*shape, 3), np.nan), np.zeros(shape)
 
-    def step(self, seen: Array, weights: Array) -> tuple[Any, NDArray[np.uint16]]:
-        """Return which sensors have sides swapped; see ``CheapestPath.step``.
+    def _costs(self, seen: Array, weights: Array) -> Iterable[tuple[Array, Array]]:
+        """Yield what sides cost in frames; see ``CheapestPath``.
 
-        ``seen`` are the joints of each sensor [m], NaN where missing, (S, J, 3), and
-        ``weights`` tell how much each counts, (S, J).
+        ``seen`` are the joints of each sensor [m], NaN where missing, (T, S, J, 3), and
+        ``weights`` tell how much each counts, (T, S, J).
         """
-        paired = self._paired
-        as_given, mirrored = seen[:, paired], seen[:, self._mirror[paired]]
-        sure = _weights_of_pairs(seen, weights, self._mirror)[:, paired]
-        costs = self._choices @ (_SWAPPED + _FACING * _facing(seen, self._skeleton)[1])
-        ways = np.zeros(self._changes.shape[:2])
-        for s, last in enumerate(self._last):
-            if last is not None:
-                both = sure[s] * last[1]
-                same = _distance(as_given[s], last[0], both)
-                other = _distance(mirrored[s], last[0], both) + _CHANGE
-                ways += _CONTINUITY * np.where(self._changes[..., s], other, same)
-            if not np.isnan(as_given[s]).all():
-                self._last[s] = as_given[s], sure[s]
-        for s, k in combinations(range(len(seen)), 2):
-            both = sure[s] * sure[k]
-            same = _distance(as_given[s], as_given[k], both)
-            other = _distance(as_given[s], mirrored[k], both)
-            costs += np.where(self._choices[:, s] == self._choices[:, k], same, other)
-        return self._next(ways, costs)
+        paired, choices, (count, sensors) = self._paired, self._choices, seen.shape[:2]
+        as_given, mirrored = seen[:, :, paired], seen[:, :, self._mirror[paired]]
+        sure = _weights_of_pairs(seen, weights, self._mirror)[:, :, paired]
+        # When each sensor saw anybody last: 0 is before the first of these frames.
+        there = ~np.isnan(as_given).all(axis=(2, 3))
+        when = np.where(there, np.arange(1, count + 1)[:, None], 0)
+        when = np.maximum.accumulate(np.concatenate([0 * when[:1], when]))
+        pairs = zip(self._last, (as_given, sure), strict=True)
+        past = [np.concatenate([last[None], now]) for last, now in pairs]
+        each = np.arange(sensors)
+        before, trust = (values[when[:-1], each] for values in past)
+        self._last = past[0][when[-1], each], past[1][when[-1], each]
+        both, known = sure * trust, ~np.isnan(before).all(axis=(2, 3))
+        same = np.where(known, _distance(as_given, before, both), 0.0)
+        other = np.where(known, _distance(mirrored, before, both) + _CHANGE, 0.0)
+        ways = np.zeros((count, *self._changes.shape[:2]))
+        for s, changes in enumerate(np.moveaxis(self._changes, -1, 0)):
+            moved = np.where(changes, other[:, s, None, None], same[:, s, None, None])
+            ways += _CONTINUITY * moved
+        facing = _facing(seen.reshape(-1, *seen.shape[2:]), self._skeleton)[1]
+        costs = (_SWAPPED + _FACING * facing.reshape(count, -1)) @ choices.T
+        for s, k in combinations(range(sensors), 2):
+            both, alike = sure[:, s] * sure[:, k], choices[:, s] == choices[:, k]
+            same = _distance(as_given[:, s], as_given[:, k], both)
+            other = _distance(as_given[:, s], mirrored[:, k], both)
+            costs += np.where(alike, same[:, None], other[:, None])
+        return zip(ways, costs, strict=True)
 
 
 def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
@@ -208,7 +222,7 @@ def swapped_frames(take: Take) -> Flags:
         same, other = _costs_of_moving(take, joints)
         changes = choices[:, None, k] != choices[:, k]
         ways += np.where(changes, other[:, None, None], same[:, None, None])
-    return CheapestPath(choices).whole(zip(ways, costs, strict=True))
+    return CheapestPath(choices).whole(ways, costs)
 
 
 def _costs_of_moving(take: Take, joints: Indices) -> tuple[Array, Array]:

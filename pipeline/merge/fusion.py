@@ -7,11 +7,10 @@ misplacement of a joint is learned on the way and subtracted. Errors along the l
 sight are no larger than across it, both on UI-PRMD's people and in the virtual Kinect.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State
 from kinefilter.characters.arrays import Array, Codes, Flags
@@ -35,6 +34,7 @@ _TOLERANCE = np.radians(45.0)  # rad by which a heading may be off
 _MAX_COST = 4.0  # in squared tolerances, of one sensor
 _TURNING = np.radians(100.0)  # rad/s at which turning costs as much as the tolerance
 _GRID = 2.0 * np.pi * np.arange(72) / 72  # headings to choose from [rad]
+_TURNS = wrapped(_GRID[:, None] - _GRID)  # from each to each [rad]
 
 
 class Sight(NamedTuple):
@@ -69,19 +69,21 @@ class Facing(CheapestPath):
     def __init__(self) -> None:
         super().__init__(_GRID)
 
-    def step(
-        self, yaws: Array, angles: Array, elapsed: float
-    ) -> tuple[Any, NDArray[np.uint16]]:
-        """Return the heading, given the frames so far; see ``CheapestPath.step``.
+    def _costs(
+        self, yaws: Array, angles: Array, elapsed: Array
+    ) -> Iterable[tuple[Array, Array]]:
+        """Yield what headings cost in frames; see ``CheapestPath``.
 
         ``yaws`` are the headings in each sensor [rad], without swapped sides, NaN where
-        it sees no one, and ``angles`` the directions to each sensor [rad], both (S,).
+        it sees no one, and ``angles`` the directions to each sensor [rad], both (T, S);
+        ``elapsed`` is the time since the last frame [s], (T,).
         """
-        turning = wrapped(_GRID[:, None] - _GRID) / (_TURNING * max(elapsed, 1e-3))
-        errors = wrapped(yaws[:, None] - _GRID) / _TOLERANCE
-        views = np.cos(angles[:, None] - _GRID) ** 2
-        costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=0)
-        return self._next(turning**2, costs)
+        errors = wrapped(yaws[..., None] - _GRID) / _TOLERANCE
+        views = np.cos(angles[..., None] - _GRID) ** 2
+        costs = np.nansum(views * np.minimum(errors**2, _MAX_COST), axis=1)
+        spans = _TURNING * np.maximum(elapsed, 1e-3)
+        turning = ((_TURNS / span) ** 2 for span in spans)
+        return zip(turning, costs, strict=True)
 
 
 class Fusion:
@@ -115,12 +117,11 @@ class Fusion:
         Which sensors have left and right swapped, (T, S), and which way the person
         faces [rad], (T,), 0 along +z. ``elapsed`` is the time since the last frame [s].
         """
-        stacked = [self._stack(sights) for sights in frames]
-        sides = self._sides.whole((seen.positions, _weights(seen)) for seen in stacked)
-        for seen, swapped in zip(stacked, sides, strict=True):
-            self._swap(seen, swapped)
-        each = zip(map(self._directions, stacked), elapsed.tolist(), strict=True)
-        return sides, self._facing.whole((*both, since) for both, since in each)
+        each = [self._stack(sights) for sights in frames]
+        seen = Sight(*map(np.array, zip(*each, strict=True)))
+        swapped = self._sides.whole(seen.positions, _weights(seen))
+        self._swap(seen, swapped)
+        return swapped, self._facing.whole(*self._directions(seen), elapsed)
 
     def _stack(self, sights: Sequence[Sight | None]) -> Sight:
         """Return what all sensors see, arrays with a leading axis S."""
@@ -132,10 +133,10 @@ class Fusion:
             part[swapped] = part[swapped][:, self._skeleton.mirror]
 
     def _directions(self, seen: Sight) -> tuple[Array, Array]:
-        """Return headings that sensors see, and directions to them [rad], (S,)."""
-        x, _, z = (seen.sensor - seen.positions[:, self._skeleton.root]).T
+        """Return headings that sensors see, and directions to them [rad], (..., S)."""
+        away = seen.sensor - seen.positions[..., self._skeleton.root, :]
         yaws = find_yaw(seen.positions, self._skeleton, seen.reliability)
-        return yaws, np.arctan2(x, z)
+        return yaws, np.arctan2(away[..., 0], away[..., 2])
 
     def step(
         self,
@@ -152,11 +153,11 @@ class Fusion:
         """
         stacked = self._stack(sights)
         if swapped is None:
-            swapped, _ = self._sides.step(stacked.positions, _weights(stacked))
+            swapped = self._sides.step(stacked.positions, _weights(stacked))
         self._swap(stacked, swapped)
         yaws, angles = self._directions(stacked)
         if heading is None:
-            heading, _ = self._facing.step(yaws, angles, elapsed)
+            heading = self._facing.step(yaws, angles, elapsed)
         seen, given, state, _ = stacked
         missing = np.isnan(seen[..., 0])
         most = np.where(state == State.INFERRED, _INFERRED, 1.0)
@@ -190,6 +191,6 @@ class Fusion:
 
 
 def _weights(seen: Sight) -> Array:
-    """Return how much each joint counts in finding the sides, (S, J)."""
+    """Return how much each joint counts in finding the sides, (..., S, J)."""
     tracked = np.where(seen.state == State.TRACKED, seen.reliability, 0.0)
     return tracked + _MIN_RELIABILITY
