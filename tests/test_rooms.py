@@ -28,7 +28,12 @@ from kinefilter.scenes.sensor import Sensor
 
 FOLDER = Path(kinefilter.scenes.rooms.__file__).parent
 BODY = standard_body(KINECT_V1)
-MOVABLE = {"box": ("box",), "basketball": ("ball",), "office": ("phone", "cup")}
+MOVABLE = {
+    "box": ("box",),
+    "basketball": ("ball",),
+    "chair": ("chair",),
+    "office": ("phone", "cup"),
+}
 
 every_scene = pytest.mark.parametrize("scene", SCENES)
 with_and_without_character = pytest.mark.parametrize(
