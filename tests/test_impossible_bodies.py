@@ -96,6 +96,24 @@ def test_a_body_of_another_size_is_taken_out_and_told(factor: float) -> None:
     assert "filled" in told[0]["done"]
 
 
+@pytest.mark.parametrize("rows", [True, False])
+@pytest.mark.parametrize(("lost", "kept"), [(15, 8), (15, 1), (6, 8), (15, 0)])
+def test_what_a_sensor_shows_of_a_body_before_losing_it_is_taken_out_and_told(
+    lost: int, kept: int, *, rows: bool
+) -> None:
+    take, last = act("wave"), 49
+    positions, apart = take.positions.copy(), slice(last + 1 - kept, last + 1)
+    noise = np.random.default_rng(1).normal(0.0, 0.1, positions[apart].shape)
+    positions[apart] += noise
+    gone = slice(last + 1, last + 1 + lost)
+    positions[gone] = np.nan
+    wrong = replace(take, positions=positions)
+    if rows:  # or else there are no frames
+        wrong = wrong.at(np.delete(np.arange(len(take)), gone))
+    told = [(FailureKind.FALLEN_APART, apart.start, last)]
+    assert bodies(wrong) == (told if kept and lost > 9 else [])
+
+
 @pytest.mark.parametrize("joint", ["HipCenter", "Spine", "KneeLeft", "HandRight"])
 def test_one_wrong_cell_changes_nothing_but_that_joint_and_is_told(joint: str) -> None:
     """It used to throw the body through the air, and changed the person's size."""

@@ -49,6 +49,7 @@ class FailureKind(StrEnum):
     DISPLACED = "displaced by 9 cm or more"
     ELSEWHERE = "at an impossible place"
     ODD_SIZE = "far too large or too small"
+    FALLEN_APART = "out of shape before the sensor lost it"
     SUNKEN = "below the floor"
     STRAY = "meters away from the body"
     JUMPING = "jumping faster than a person can move"
@@ -59,7 +60,10 @@ class FailureKind(StrEnum):
         return _REMEDIES.get(self, "left as measured; check it")
 
 
-_IMPOSSIBLE_BODY = (FailureKind.ELSEWHERE, FailureKind.ODD_SIZE, FailureKind.SUNKEN)
+_IMPOSSIBLE_BODY = (
+    *(FailureKind.ELSEWHERE, FailureKind.ODD_SIZE),
+    *(FailureKind.FALLEN_APART, FailureKind.SUNKEN),
+)
 """Failures whose frames say nothing about the person."""
 _IMPOSSIBLE_LIMB = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs are removed, and so reconstructed as if they had been hidden: in
@@ -128,6 +132,8 @@ def find_failures(
     time, kind = take.time, FailureKind
     odd = bodies.wrong_size_frames(take)
     found = list(stretches(time, kind.ODD_SIZE, "body", odd))
+    apart = bodies.fallen_apart_frames(take)
+    found += stretches(time, kind.FALLEN_APART, "body", apart)
     take = take.without(lost_joints(found, take))
     stray = bodies.stray_joints(take.positions, bodies.middles(take.positions))
     for joint, frames in zip(take.skeleton.joints, stray.T, strict=True):
