@@ -234,10 +234,11 @@ def positions_from_rotations(rotations: Array, root: Array, body: Body) -> Array
 
 
 def within_ranges(rotations: Array, skeleton: Skeleton) -> Array:
-    """Return segment rotations, as above, with no joint beyond its ``joint_range``.
+    """Return rotations (..., J, 4) with no joint beyond its ``joint_range``.
 
-    From the root outward, segments turn back the short way, as little as they must;
-    those that they carry keep their direction if their own ranges allow it.
+    They are those of segments in the world, unit quaternions wxyz. From the root
+    outward, segments turn back the short way and no farther than they must; those
+    beyond keep their rotations if their own ranges allow it.
     """
     found = rotations.copy()
     for j, p in zip(skeleton.segments, skeleton.segment_parents, strict=True):

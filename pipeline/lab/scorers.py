@@ -134,8 +134,7 @@ class NoiseReliabilityScorer(_EachFrame):
         self._paths[:-1, seen] = self._paths[1:, seen]
         self._stamps[:-1, seen] = self._stamps[1:, seen]
         self._paths[-1, seen], self._stamps[-1, seen] = relative[seen], self._time
-        ends, starts = self.skeleton.segments, self.skeleton.segment_parents
-        bones = positions[ends] - positions[starts]
+        bones = self.skeleton.bones(positions)
         error = np.sqrt(np.sum(bones * bones, axis=1)) - self._lengths
         square_error = np.minimum(error * error, LARGEST_ERROR**2)
         values = np.concatenate([self._square_noise(), square_error])
@@ -195,10 +194,8 @@ class ClueWeights:
             rows = [kinds.index(kind) for kind in skeleton.kinds]
             return cls(skeleton, *(file[key][rows].astype(float) for key in _ARRAYS))
         except (InputError, KeyError, ValueError, TypeError, IndexError):
-            raise InputError(
-                f"{path}: no reliability weights for {skeleton.name}; reinstall "
-                "kinefilter"
-            ) from None
+            wrong = f"{path}: no reliability weights for {skeleton.name}"
+            raise InputError(f"{wrong}; reinstall kinefilter") from None
 
 
 class LearnedReliabilityScorer(NoiseReliabilityScorer):
