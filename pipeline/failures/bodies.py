@@ -122,8 +122,10 @@ def fallen_apart_frames(take: Take) -> Flags:
     there = np.flatnonzero(~np.isnan(take.positions).all(axis=(1, 2)))
     for last in np.flatnonzero(np.diff(time[there]) > _LOST):
         sound = np.flatnonzero(~odd[there[: last + 1]])
-        since = there[sound[-1] + 1 : last + 1] if len(sound) else there[:0]
-        wrong[since[time[there[last]] - time[since] < _AFTER_LOSS]] = True
+        if len(sound) and sound[-1] < last:
+            since = there[sound[-1] + 1 : last + 1]
+            # If it is odd for longer, it may just be seen from the side.
+            wrong[since] = time[since[-1]] - time[since[0]] < _AFTER_LOSS
     return wrong
 
 

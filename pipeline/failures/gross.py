@@ -61,8 +61,10 @@ class FailureKind(StrEnum):
 
 
 _IMPOSSIBLE_BODY = (
-    *(FailureKind.ELSEWHERE, FailureKind.ODD_SIZE),
-    *(FailureKind.FALLEN_APART, FailureKind.SUNKEN),
+    FailureKind.ELSEWHERE,
+    FailureKind.ODD_SIZE,
+    FailureKind.FALLEN_APART,
+    FailureKind.SUNKEN,
 )
 """Failures whose frames say nothing about the person."""
 _IMPOSSIBLE_LIMB = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
