@@ -212,9 +212,16 @@ def test_no_take_is_cleaned_again_while_a_batch_runs(takes: Path, out: Path) -> 
         clean_again(row, out, find_takes(row, [takes]))
 
 
-def test_settings_are_the_same_after_a_table() -> None:
+@pytest.mark.parametrize(
+    "config",
+    [
+        CleanConfig(preset="shum-2013", floor=0.2),
+        CleanConfig(same_person=(Path("/x/b.csv"),)),
+    ],
+)
+def test_settings_are_the_same_after_a_table(config: CleanConfig) -> None:
     settings = Settings(
-        CleanConfig(preset="shum-2013", floor=0.2, same_person=(Path("/x/b.csv"),)),
+        config,
         Export(fps=24.0, rig="unreal"),
         body=2,
         sessions="{name}_{sensor}.csv",

@@ -132,7 +132,11 @@ def prop_poses(scene: mujoco.MjSpec, motion: Motion) -> dict[str, Array]:
         body = model.body(name)
         rest = np.concatenate([body.pos, body.quat])
         poses[name] = np.tile(rest, (len(motion), 1))
-        geom = int(body.geomadr[0])
+        own = model.geom_bodyid == body.id
+        solid = np.flatnonzero(own & (model.geom_contype > 0))
+        if len(solid) != 1:  # neither a box nor a ball
+            continue
+        geom = int(solid[0])
         size = model.geom_size[geom].copy()
         match model.geom_type[geom]:
             case mujoco.mjtGeom.mjGEOM_SPHERE:
