@@ -1,6 +1,7 @@
 """The stage that fills hidden limbs, of whole takes and frame by frame."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -297,6 +298,15 @@ def with_root(positions: Array, body: Body) -> Array:
     return rooted
 
 
+@cache
+def _least_tracked(skeleton: Skeleton) -> Array:
+    """Return the share of tracked frames up to which joints are kept as guessed."""
+    least = np.zeros(len(skeleton))
+    for hip in skeleton.hips:
+        least[skeleton.descendants(hip)] = _MOSTLY_INFERRED
+    return least
+
+
 def hidden_joints(
     positions: Array, state: Codes, skeleton: Skeleton, tracked: Array | None = None
 ) -> Flags:
@@ -307,7 +317,6 @@ def hidden_joints(
     is the share of frames in which each joint is tracked; by default that of the take.
     """
     now = state == State.TRACKED
-    legs = [j for hip in skeleton.hips for j in skeleton.descendants(hip)]
-    least = np.where(np.isin(np.arange(len(skeleton)), legs), _MOSTLY_INFERRED, 0.0)
-    often = (now.mean(axis=0) if tracked is None else tracked) > least
+    share = now.mean(axis=0) if tracked is None else tracked
+    often = share > _least_tracked(skeleton)
     return np.asarray(np.isnan(positions[..., 0]) | ~now & often & in_limbs(skeleton))
