@@ -6,6 +6,7 @@ import errno
 import os
 import threading
 from collections import Counter
+from dataclasses import replace
 from io import FileIO
 from pathlib import Path
 
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, sample_frame
 
-from kinefilter import read_take
-from kinefilter.characters import KINECT_V1, InputError
+from kinefilter import Avatar, read_take
+from kinefilter.characters import KINECT_V1, InputError, standard_body
+from kinefilter.pipeline.correct import Hold, LocalPCA
+from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.live import recorder as recording
 from kinefilter.pipeline.live.crowd import Crowd, Person
 from kinefilter.pipeline.live.live_config import LiveConfig
@@ -145,6 +148,26 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
     away = np.abs(person.avatar.body.lengths - whole.lengths)
     assert away.mean() < 0.01
     assert abs(person.avatar.body.height - whole.height) < 0.03
+
+
+def test_the_correction_of_live_people_can_be_chosen() -> None:
+    body = standard_body(KINECT_V1, height=1.8)
+    chosen = {
+        "local-pca": LocalPCA(builtin_database(KINECT_V1)),
+        "none": Hold(KINECT_V1),
+    }
+    for method, corrector in chosen.items():
+        config = LiveConfig(("-",), ("-",), skeleton="kinect_v1", height=1.8)
+        person, default = Person(replace(config, method=method)), Person(config)
+        avatar = Avatar(body, corrector=corrector)
+        for row in range(20):
+            (seen,), time = sample_frame(row).bodies, float(SAMPLE.time[row])
+            pose, other = person.step(seen, time), default.step(seen, time)
+            assert pose is not None
+            assert other is not None
+            expected = avatar.step(seen.positions, time, seen.state)
+            np.testing.assert_array_equal(pose.positions, expected.positions)
+        assert np.abs(pose.positions - other.positions).max() > 0.01
 
 
 def test_who_is_half_hidden_is_measured_after_three_seconds_all_the_same() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.limb_lessons import with_prior
 from kinefilter.pipeline.pairs import read_pairs
-from kinefilter.pipeline.reconstruct import HiddenLimbTracker, MotionPrior
+from kinefilter.pipeline.reconstruct import HiddenLimbTracker, MotionPrior, stage
 from kinefilter.pipeline.reconstruct.hidden_limbs import fill_unseen
 from kinefilter.pipeline.reconstruct.prior import default_prior
 from kinefilter.retarget import Standardizer
@@ -181,3 +182,18 @@ def test_frames_before_the_person_is_seen_face_as_the_first_seen_one() -> None:
     weights[:3] = 0.0  # places that were filled in, with no reliability
     _, view = Standardizer(body).steps(positions, weights)
     np.testing.assert_allclose(view.yaw, 2.0)
+
+
+def test_a_live_frame_learns_of_one_limb_at_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen, tracker, learned = postures(90), HiddenLimbTracker(BODY), list[int]()
+
+    def counted(*_: Any, **__: Any) -> None:
+        learned.append(k)
+
+    monkeypatch.setattr(stage, "learn", counted)
+    seen[60:, [*ARMS[0], *ARMS[1], *LEGS]] = np.nan
+    for k, frame in enumerate(seen):
+        tracker.step(frame, np.isnan(frame[:, 0]), k / RATE)
+    assert learned == [63, 64, 65, 66]

@@ -41,15 +41,14 @@ class Live:
     ws://127.0.0.1:9001 sends poses to web pages that this machine serves (one opened as
     a file needs --origin null), which read them with new
     WebSocket("ws://127.0.0.1:9001").onmessage = e => JSON.parse(e.data). Each person is
-    measured during the first second unless --height is given. Joints are corrected as a
-    Kinect's, which moves those of other trackers by centimeters. A sensor upside
-    down or strongly tilted is reported and corrected for. The newest frame wins; late,
-    missing, malformed and dropped frames are counted, as are frames with an impossible
-    body. Several sensors, with one --in each, follow people together: their placement
-    and clock offsets are found and printed while a person walks back and forth in front
-    of them. Poses are sent with the frames of the first sensor and never wait for
-    another; people it loses are followed by the sensors that still see them. Needs pip
-    install "kinefilter[live]".
+    measured during the first second unless --height is given. A sensor upside down or
+    strongly tilted is reported and corrected for. The newest frame wins; late, missing,
+    malformed and dropped frames are counted, as are frames with an impossible body.
+    Several sensors, with one --in each, follow people together: their placement and
+    clock offsets are found and printed while a person walks back and forth in front of
+    them. Poses are sent with the frames of the first sensor and never wait for another;
+    people it loses are followed by the sensors that still see them. Needs pip install
+    "kinefilter[live]".
     """
 
     config: OmitArgPrefixes[LiveConfig]

@@ -11,6 +11,7 @@ from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.avatar import Avatar, Pose
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.factory import make_corrector
 from kinefilter.pipeline.formats.recording import LONGEST_STEP
 from kinefilter.pipeline.physics.shared_scene import SharedScene
 
@@ -78,7 +79,8 @@ class Person:
         if enough or time - self._frames[0][0] >= _LONGEST:
             frames = as_arrays(good if enough else self._frames)
             take = Take(*frames, self._skeleton, "live")
-            cleaner = Cleaner(CleanConfig(mass=self._config.mass))
+            config = self._config
+            cleaner = Cleaner(CleanConfig(mass=config.mass, method=config.method))
             self.avatar = self._make_avatar(*cleaner.measure(take))
             self._frames.clear()
         return None
@@ -90,6 +92,7 @@ class Person:
             self._scene,
             floor=config.floor,
             tracking=config.tracking,
+            corrector=make_corrector(self._skeleton, CleanConfig(method=config.method)),
             measured=measured,
             name=self._name,
         )

@@ -54,6 +54,9 @@ class LiveConfig:
     someone walks back and forth in view of all sensors."""
     skeleton: Literal["kinect_v1", "kinect_v2"] = "kinect_v2"
     """Skeleton whose joints the frames contain."""
+    method: Literal["default", "local-pca", "none"] = "default"
+    """Correction method, as for clean. The default is for a Kinect's joints and moves
+    those of other trackers by centimeters; use local-pca for them."""
     scene: str | None = None
     """Surroundings that all people share, who push each other and the props: the name
     of a scene (an unknown name lists the scenes) or an MJCF file (.xml); default: only

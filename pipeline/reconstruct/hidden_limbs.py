@@ -17,7 +17,6 @@ from kinefilter.characters.arrays import Array, Flags, chunks, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame, find_yaw
-from kinefilter.retarget.limbs import smooth_step
 
 from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
@@ -36,7 +35,6 @@ from .windows import (
 
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends
-_BELIEVED = 2.0  # s from the nearer end of a gap, beyond which inferred joints fade in
 _QUERIES = 12  # frames of a gap for which the take's most similar ones are kept
 _AT_ONCE = 3000  # frames of a gap that are filled at once, which bounds the memory
 # s: standard deviation of the filter over predicted directions. Chosen on s02, s03, s04
@@ -53,9 +51,8 @@ def fill_hidden(
 ) -> tuple[Array, Flags]:
     """Return positions [m] with the hidden joints filled, and flags of filled joints.
 
-    Joints that were never seen stay as they are. So do joints that the sensor inferred
-    long after they were last seen and long before they are seen again. Time stamps [s]
-    increase strictly; positions are in the sensor frame with y up, shape (T, J, 3).
+    Joints that were never seen stay as they are. Time stamps [s] increase strictly;
+    positions are in the sensor frame with y up, shape (T, J, 3).
     """
     hidden = with_tips(hidden & ~hidden.all(axis=0), skeleton)
     hidden &= ~hidden.all(axis=0)
@@ -78,23 +75,8 @@ def fill_hidden(
         if not _ahead(backward, gap):
             _fill_limb(backward, gap, limb, prior)
     filled = seen.heading.restore(seen.positions)
-    trust = _trust(time, hidden)
-    trust[np.isnan(positions[..., 0])] = 1.0
-    hidden &= (trust > 0.0) & ~np.isnan(filled[..., 0])
-    shares = trust[..., None]
-    mixed = np.where(shares < 1.0, shares * filled + (1.0 - shares) * positions, filled)
-    return np.where(hidden[..., None], mixed, positions), hidden
-
-
-def _trust(time: Array, hidden: Flags) -> Array:
-    """Return the trust in filled joints against the sensor's, in [0, 1], (T, J)."""
-    far = np.zeros(hidden.shape)
-    for j in np.flatnonzero(hidden.any(axis=0)):
-        seen = time[~hidden[:, j]]
-        k = np.searchsorted(seen, time)
-        ends = seen[np.maximum(k - 1, 0)], seen[np.minimum(k, len(seen) - 1)]
-        far[:, j] = np.abs(time - np.array(ends)).min(axis=0)
-    return 1.0 - smooth_step((far - _BELIEVED) / _BELIEVED)
+    hidden &= ~np.isnan(filled[..., 0])
+    return np.where(hidden[..., None], filled, positions), hidden
 
 
 def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> BridgedMotion:

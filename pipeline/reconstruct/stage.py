@@ -76,6 +76,7 @@ class HiddenLimbTracker:
         self._bent, self._offset = np.zeros((2, n, 3))
         self._since = np.full(n, np.inf)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
+        self._learned = -np.inf
 
     def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
         """Return the next frame's joint positions [m], and flags of filled joints.
@@ -174,7 +175,8 @@ class HiddenLimbTracker:
         stretch = Stretches(seen, limb, start, k - gap.start + 1, at, ahead=False)
         found = self._prior.describe(stretch)
         continued = found.base[0]
-        if gap.learned is None and time - gap.time >= _LEARNS:
+        if gap.learned is None and time - gap.time >= _LEARNS and time > self._learned:
+            self._learned = time  # at most one limb per frame, which bounds the time
             frames = round(_STRETCH * seen.rate)
             gap.recall = learn(seen, limb, frames, None, self._prior, ahead=False)
             gap.learned = time
