@@ -44,7 +44,7 @@ METHODS = {
     "none": Method("correct.hold:Hold", "skeleton"),
     "butterworth": Method("lab.methods.filters:Butterworth", "skeleton"),
     "savgol": Method("lab.methods.filters:SavitzkyGolay", "skeleton"),
-    "one-euro": Method("correct.one_euro:OneEuro", "skeleton"),
+    "one-euro": Method("lab.methods.filters:OneEuro", "skeleton"),
     "kalman": Method("lab.methods.filters:ConstantLengthKalman", "skeleton"),
     "low-rank": Method("lab.methods.baselines:LowRank", "skeleton"),
     "nearest": Method("lab.methods.baselines:Nearest", "database"),

@@ -10,9 +10,9 @@ from scipy.signal import butter, filtfilt
 
 from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.correct import Corrector, Observation
-from kinefilter.pipeline.correct.one_euro import OneEuro
 from kinefilter.pipeline.lab.methods.filters import (
     Butterworth,
+    OneEuro,
     SavitzkyGolay,
     bridge_gaps,
 )
@@ -288,44 +288,6 @@ def test_a_missing_hand_stays_on_its_wrist_and_returns_without_a_jump() -> None:
     assert (np.delete(missing.confidence, HAND) == 1.0).all()
     assert missing.rotations is None
     assert np.isnan(missing.coverage)
-
-
-def test_walkers_are_smoothed_more_and_lag_less_if_their_root_carries_them() -> None:
-    count = 300
-    path = np.outer(1.2 * stamps(count), [0.6, 0.0, 0.8])[:, None]
-    truth, noisy = REST + path, REST + path + 0.01 * noise(count, JOINTS)
-    errors, tremble = [], []
-    for walking_speed in (np.inf, 0.5):
-        corrector = OneEuro(KINECT_V1, walking_speed=walking_speed)
-        late = filtered(corrector, truth)[60:] - truth[60:]
-        result = filtered(corrector, noisy)[60:]
-        errors.append(np.linalg.norm(late, axis=2).mean())
-        tremble.append(np.linalg.norm(np.diff(result, 3, axis=0), axis=2).mean())
-    assert errors[1] < 0.5 * errors[0]
-    assert tremble[1] < 0.7 * tremble[0]
-
-
-def test_a_body_that_is_suddenly_elsewhere_is_not_carried_past_it() -> None:
-    positions = np.tile(REST, (60, 1, 1))
-    positions[20:, :, 0] += 1.5
-    result = filtered(OneEuro(KINECT_V1, walking_speed=0.5), positions)
-    assert (result - positions)[20:, :, 0].max() < 1e-3
-    assert np.abs(result - positions)[30:].max() < 0.01
-
-
-def test_joints_that_stay_or_go_the_other_way_are_not_carried() -> None:
-    positions = np.tile(REST, (90, 1, 1)) + 0.01 * noise(90, JOINTS)
-    path = np.outer(1.5 * stamps(90), [1.0, 0.0, 0.0])
-    positions[:, KINECT_V1.root] += path
-    positions[:, HAND] -= path
-    positions[:, WRIST] = REST[WRIST]
-    carried, alone = (
-        filtered(OneEuro(KINECT_V1, walking_speed=speed), positions)
-        for speed in (0.5, np.inf)
-    )
-    assert np.abs(carried - alone)[:, KINECT_V1.root].max() > 0.01
-    np.testing.assert_array_equal(carried[:, WRIST], positions[:, WRIST])
-    np.testing.assert_allclose(carried[30:, HAND], alone[30:, HAND], atol=1e-4)
 
 
 def test_what_was_never_seen_hangs_as_in_rest_and_begins_where_it_appears() -> None:

@@ -13,8 +13,6 @@ from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.correct import Observation
-from kinefilter.pipeline.correct.one_euro import OneEuro
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
@@ -26,14 +24,13 @@ from . import feet, floor
 from .possible_postures import possible_knees, possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
+from .smooth_live import LiveSmoother
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
 _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
-_BETA = 12.0  # 1/m: rise of the cutoff of live joints with speed
-_WALKING_SPEED = 0.5  # m/s: a faster root carries live joints along
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
 # m by which a live foot is held: where its toes are farther from their place it steps,
 # and its heel rises. Chosen, as feet.HELD, on p00, p04 and p06 of two-kinects.
@@ -155,13 +152,13 @@ class Smooth(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._filter = OneEuro(body.skeleton, beta=_BETA, walking_speed=_WALKING_SPEED)
+        self._smoother = LiveSmoother()
 
     def step(self, draft: Draft) -> None:
         """Smooth the next frame."""
         if self._cutoff > 0.0:
-            frame = draft.positions, draft.reliability, draft.geometry, draft.time
-            draft.positions = self._filter.step(Observation(*frame)).positions
+            joints, time = draft.positions, float(draft.time)
+            draft.positions = self._smoother.step(joints, time)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Smooth a take."""

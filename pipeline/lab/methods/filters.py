@@ -1,4 +1,4 @@
-"""Filters over time, as baselines: Butterworth, Savitzky-Golay, Kalman."""
+"""Filters over time, as baselines: Butterworth, Savitzky-Golay, One-Euro, Kalman."""
 
 from abc import abstractmethod
 from collections.abc import Iterable
@@ -231,3 +231,59 @@ class ConstantLengthKalman(Corrector):
         near = self._bones.project(posture[None], confidence[None])[0]
         # The remaining error, largest for a torn skeleton, goes to the outer joints.
         return self._walk.standardized(near)
+
+
+@dataclass(eq=False, repr=False)
+class OneEuro(Corrector):
+    """Low-pass filter whose cutoff rises with speed: steady at rest, prompt in motion.
+
+    Casiez, Roussel & Vogel 2012, 1 Euro Filter, CHI '12. The three coordinates of a
+    joint share one cutoff, so the result does not depend on the axes. Missing joints
+    keep their last bones; joints not measured yet are placed as in the rest pose.
+    """
+
+    skeleton: Skeleton
+    _: KW_ONLY
+    min_cutoff: float = 1.0  # cutoff at rest [Hz]
+    beta: float = 16.0
+    """Rise of the cutoff with speed [1/m]. In steady motion a joint lags by less than
+    1 / (2 pi beta)."""
+    derivative_cutoff: float = 1.0  # cutoff of the speed itself [Hz]
+
+    def __post_init__(self) -> None:
+        self._hold = Hold(self.skeleton)
+        self.start()
+
+    def start(self) -> None:
+        """Reset the state for a new motion."""
+        self._hold.start()
+        self._time: float | None = None
+        self._velocity = np.zeros((len(self.skeleton), 3))
+
+    def step(self, observation: Observation) -> Correction:
+        """Filter the next frame; time stamps increase, and may start at 0."""
+        measured = observation.positions
+        if self._time is not None:
+            step = max(observation.time - self._time, _LEAST_STEP)
+            measured = self._filter(measured, step)
+        self._time = observation.time
+        return self._hold.step(replace(observation, positions=measured))
+
+    def _filter(self, positions: Array, step: float) -> Array:
+        """Return the filtered frame [m], NaN where missing, (J, 3) (algorithm 1)."""
+        last, known = self._hold.last, self._hold.measured[:, None]
+        change = np.where(known, positions - last, 0.0)
+        # A missing joint is held, so it comes to rest.
+        velocity = np.where(np.isnan(change), 0.0, change) / step
+        share = _newest_share(np.array(self.derivative_cutoff), step)
+        self._velocity = self._velocity + share * (velocity - self._velocity)
+        speed = np.linalg.norm(self._velocity, axis=1, keepdims=True)
+        cutoff = self.min_cutoff + self.beta * speed
+        smooth = last + _newest_share(cutoff, step) * change
+        return np.where(known, smooth, positions)
+
+
+def _newest_share(cutoff: Array, step: float) -> Array:
+    """Return alpha, the share of the newest value in exponential smoothing."""
+    turn = 2.0 * np.pi * cutoff * step
+    return np.asarray(turn / (turn + 1.0))

@@ -1,0 +1,141 @@
+"""Learns how live joints are smoothed, from takes and their zero-lag smoothing.
+
+``python -m kinefilter.pipeline.lab.smoothing_lessons RECORDINGS... --test OTHERS...``
+prints the weights for ``target.smooth_live``. It then prints, for the joints of the
+others as smoothed by the shipped weights and by the One-Euro filter, their third
+differences in per cent of those before, and their distances [cm] from their paths in
+whole takes, all and those faster than 0.8 m/s.
+"""
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinefilter.characters import Take
+from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import distinct_stamps
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
+from kinefilter.pipeline.correct import Corrector, Observation
+from kinefilter.pipeline.live.crowd import MEASURED_FOR
+from kinefilter.pipeline.target.smooth import smooth_by_speed
+from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother, places_at
+
+from .methods.filters import OneEuro
+from .recorded_acts import recordings_in
+
+_SLOW = 0.15  # m/s, of joints at rest
+_FAST = 0.8  # m/s
+_STEADY = {"at rest": 2.0, "moving": 0.3}  # weights of third differences
+_EVERY = 9  # use every ninth clip of pairs
+
+
+class Motion(NamedTuple):
+    """Joints of a take as they come to be smoothed live, and as smoothed in whole."""
+
+    take: Take
+    time: Array
+    joints: Array  # [m], (T, J, 3)
+    smooth: Array
+    speed: Array  # [m/s], (T, J)
+
+
+def motion_of(take: Take) -> Motion:
+    """Return the joints of a take, with the person measured in the first second."""
+    take = take.at(distinct_stamps(take.time))
+    first = take.at(take.time <= take.time[0] + MEASURED_FOR)
+    cleaner = Cleaner().until("level")
+    cleaner.start(*Cleaner().measure(first))
+    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
+    joints = np.array([cleaner.step(*frame).positions for frame in frames])
+    sure = np.ones(joints.shape[:2])
+    smooth = smooth_by_speed(take.time, joints, sure, cutoff=CleanConfig().cutoff)
+    speed = np.linalg.norm(np.gradient(smooth, take.time, axis=0), axis=2)
+    return Motion(take, take.time, joints, smooth, speed)
+
+
+def fit(motions: Sequence[Motion]) -> dict[str, list[float]]:
+    """Return the weights of where joints were, at rest and moving."""
+    count = len(MOVING)
+    grams = {name: np.zeros((count, count)) for name in _STEADY}
+    sides = {name: np.zeros(count) for name in _STEADY}
+    for _, time, joints, smooth, speed in motions:
+        before = time[:, None] - STEP * np.arange(1, count + 1)
+        past = places_at(before.ravel(), time, joints)
+        past = past.reshape(*before.shape, *joints.shape[1:]) - joints[:, None]
+        past, away = np.moveaxis(past, 1, -1), smooth - joints
+        turns, leaps = np.diff(past, 3, axis=0), -np.diff(joints, 3, axis=0)
+        for name, steady in _STEADY.items():
+            some = (speed < _SLOW) == (name == "at rest")
+            for rows, wanted, weight in (
+                (past[some], away[some], 1.0),
+                (turns[some[3:]], leaps[some[3:]], steady),
+            ):
+                columns = rows.reshape(-1, count)
+                grams[name] += weight * columns.T @ columns
+                sides[name] += weight * columns.T @ wanted.ravel()
+    # Moving joints have no lag: the mean time of their weights is now.
+    late = np.arange(1.0, count + 1.0)[:, None] * np.trace(grams["moving"])
+    bordered = np.block([[grams["moving"], late], [late.T, np.zeros((1, 1))]])
+    moving = np.linalg.solve(bordered, np.append(sides["moving"], 0.0))[:-1]
+    rest = np.linalg.solve(grams["at rest"], sides["at rest"])
+    return {"at rest": rest.round(4).tolist(), "moving": moving.round(4).tolist()}
+
+
+def followed(smoother: LiveSmoother | Corrector, motion: Motion) -> Array:
+    """Return the joints [m] (T, J, 3) of a motion, smoothed frame by frame."""
+    smoother.start()
+    frames = zip(motion.joints, motion.time.tolist(), strict=True)
+    if isinstance(smoother, LiveSmoother):
+        return np.array([smoother.step(*frame) for frame in frames])
+    sure = np.ones(motion.joints.shape[1])
+    seen = (Observation(joints, sure, sure, time) for joints, time in frames)
+    return np.array([smoother.step(frame).positions for frame in seen])
+
+
+def measures(found: Array, motion: Motion) -> list[float]:
+    """Return the figures that the module tells of a smoothed motion."""
+    leaps, raw = (
+        np.linalg.norm(np.diff(joints, 3, axis=0), axis=2).mean()
+        for joints in (found, motion.joints)
+    )
+    away = np.linalg.norm(found - motion.smooth, axis=2) * 100.0
+    fast = away[motion.speed > _FAST]
+    return [leaps / raw * 100.0, away.mean(), fast.mean() if fast.size else np.nan]
+
+
+def _motions(files: Iterable[Path]) -> list[Motion]:
+    takes = (
+        named.take
+        for file in files
+        for named in list(recordings_in(file))[
+            :: _EVERY if file.suffix == ".npz" else 1
+        ]
+    )
+    return [motion_of(take) for take in takes]
+
+
+def main() -> None:
+    """Print the weights, and what they do for the recordings of the test."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recordings", nargs="+", type=Path)
+    parser.add_argument("--test", nargs="*", type=Path, default=[])
+    options = parser.parse_args()
+    for name, weights in fit(_motions(options.recordings)).items():
+        print(f"{name}: {weights}")
+    tests = _motions(options.test)
+    for name in ("weights", "One-Euro"):
+        rows = []
+        for motion in tests:
+            euro = OneEuro(motion.take.skeleton, min_cutoff=1.0, beta=12.0)
+            smoother = LiveSmoother() if name == "weights" else euro
+            rows.append(measures(followed(smoother, motion), motion))
+        if rows:
+            print(name, np.nanmean(rows, axis=0).round(2).tolist())
+
+
+if __name__ == "__main__":
+    main()
