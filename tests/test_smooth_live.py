@@ -101,5 +101,6 @@ def test_lessons_learn_to_smooth_noise_without_lag() -> None:
     assert MOVING @ np.arange(1, 8) == pytest.approx(0.0, abs=2e-3)
     noise_left = np.square([1.0 - moving.sum(), *moving]).sum()
     assert noise_left < 0.65
-    leaps, away, _ = measures(smooth, motion)
-    assert (leaps, away) == (pytest.approx(4.0, abs=4.0), 0.0)
+    leaps, _, away, _ = measures(smooth, motion)
+    assert 0.0 < leaps < 8.0
+    assert away == 0.0

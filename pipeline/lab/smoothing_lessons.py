@@ -3,8 +3,8 @@
 ``python -m kinefilter.pipeline.lab.smoothing_lessons RECORDINGS... --test OTHERS...``
 prints the weights for ``target.smooth_live``. It then prints, for the joints of the
 others as smoothed by the shipped weights and by the One-Euro filter, their third
-differences in per cent of those before, and their distances [cm] from their paths in
-whole takes, all and those faster than 0.8 m/s.
+differences in per cent of those before, of all and of those at rest, and their
+distances [cm] from their paths in whole takes, all and those faster than 0.8 m/s.
 """
 
 import argparse
@@ -99,12 +99,14 @@ def followed(smoother: LiveSmoother | Corrector, motion: Motion) -> Array:
 def measures(found: Array, motion: Motion) -> list[float]:
     """Return the figures that the module tells of a smoothed motion."""
     leaps, raw = (
-        np.linalg.norm(np.diff(joints, 3, axis=0), axis=2).mean()
+        np.linalg.norm(np.diff(joints, 3, axis=0), axis=2)
         for joints in (found, motion.joints)
     )
     away = np.linalg.norm(found - motion.smooth, axis=2) * 100.0
-    fast = away[motion.speed > _FAST]
-    return [leaps / raw * 100.0, away.mean(), fast.mean() if fast.size else np.nan]
+    rest, fast = motion.speed[3:] < _SLOW, motion.speed > _FAST
+    shares = [leaps[some].sum() / raw[some].sum() for some in (raw >= 0.0, rest)]
+    far = [away[some].sum() / max(some.sum(), 1) for some in (away >= 0.0, fast)]
+    return [share * 100.0 for share in shares] + far
 
 
 def _motions(files: Iterable[Path]) -> list[Motion]:
@@ -134,7 +136,7 @@ def main() -> None:
             smoother = LiveSmoother() if name == "weights" else euro
             rows.append(measures(followed(smoother, motion), motion))
         if rows:
-            print(name, np.nanmean(rows, axis=0).round(2).tolist())
+            print(name, np.mean(rows, axis=0).round(2).tolist())
 
 
 if __name__ == "__main__":
