@@ -27,8 +27,7 @@ from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother, p
 from .methods.filters import OneEuro
 from .recorded_acts import recordings_in
 
-_SLOW = 0.15  # m/s, of joints at rest
-_FAST = 0.8  # m/s
+_SLOW, _FAST = 0.15, 0.8  # m/s: slower joints are at rest, faster ones teach nothing
 _STEADY = {"at rest": 2.0, "moving": 0.3}  # weights of third differences
 _EVERY = 9  # use every ninth clip of pairs
 
@@ -69,7 +68,8 @@ def fit(motions: Sequence[Motion]) -> dict[str, list[float]]:
         past, away = np.moveaxis(past, 1, -1), smooth - joints
         turns, leaps = np.diff(past, 3, axis=0), -np.diff(joints, 3, axis=0)
         for name, steady in _STEADY.items():
-            some = (speed < _SLOW) == (name == "at rest")
+            slow = speed < _SLOW
+            some = slow if name == "at rest" else ~slow & (speed < _FAST)
             for rows, wanted, weight in (
                 (past[some], away[some], 1.0),
                 (turns[some[3:]], leaps[some[3:]], steady),
@@ -132,8 +132,9 @@ def main() -> None:
     for name in ("weights", "One-Euro"):
         rows = []
         for motion in tests:
-            euro = OneEuro(motion.take.skeleton, min_cutoff=1.0, beta=12.0)
-            smoother = LiveSmoother() if name == "weights" else euro
+            skeleton = motion.take.skeleton
+            euro = OneEuro(skeleton, min_cutoff=1.0, beta=12.0)
+            smoother = euro if name == "One-Euro" else LiveSmoother(skeleton.root)
             rows.append(measures(followed(smoother, motion), motion))
         if rows:
             print(name, np.mean(rows, axis=0).round(2).tolist())

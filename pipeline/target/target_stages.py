@@ -152,7 +152,7 @@ class Smooth(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._smoother = LiveSmoother()
+        self._smoother = LiveSmoother(body.skeleton.root)
 
     def step(self, draft: Draft) -> None:
         """Smooth the next frame."""
