@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
-from kinefilter.pipeline.lab.smoothing_lessons import Motion, fit, measures
+from kinefilter.pipeline.lab.smoothing_lessons import Example, fit, measures
 from kinefilter.pipeline.target.smooth import smooth_by_speed
 from kinefilter.pipeline.target.smooth_live import MOVING, LiveSmoother
 
@@ -111,12 +111,12 @@ def test_lessons_learn_to_smooth_noise_without_lag() -> None:
     state = np.full((900, 20), State.TRACKED, dtype=np.uint8)
     take = Take(time, joints, state, KINECT_V1, "waves")
     speed = np.linalg.norm(np.gradient(smooth, time, axis=0), axis=2)
-    motion = Motion(take, time, joints, smooth, speed)
-    moving = np.array(fit([motion])["moving"])
+    example = Example(take, joints, smooth, speed)
+    moving = np.array(fit([example])["moving"])
     assert moving @ np.arange(1, 8) == pytest.approx(0.0, abs=2e-3)
     assert MOVING @ np.arange(1, 8) == pytest.approx(0.0, abs=2e-3)
     noise_left = np.square([1.0 - moving.sum(), *moving]).sum()
     assert noise_left < 0.65
-    leaps, _, away, _ = measures(smooth, motion)
+    leaps, _, away, _ = measures(smooth, example)
     assert 0.0 < leaps < 8.0
     assert away == 0.0

@@ -32,17 +32,16 @@ _STEADY = {"at rest": 2.0, "moving": 0.3}  # weights of third differences
 _EVERY = 9  # use every ninth clip of pairs
 
 
-class Motion(NamedTuple):
+class Example(NamedTuple):
     """Joints of a take as they come to be smoothed live, and as smoothed in whole."""
 
     take: Take
-    time: Array
     joints: Array  # [m], (T, J, 3)
     smooth: Array
     speed: Array  # [m/s], (T, J)
 
 
-def motion_of(take: Take) -> Motion:
+def example_of(take: Take) -> Example:
     """Return the joints of a take, with the person measured in the first second."""
     take = take.at(distinct_stamps(take.time))
     first = take.at(take.time <= take.time[0] + MEASURED_FOR)
@@ -53,17 +52,17 @@ def motion_of(take: Take) -> Motion:
     sure = np.ones(joints.shape[:2])
     smooth = smooth_by_speed(take.time, joints, sure, cutoff=CleanConfig().cutoff)
     speed = np.linalg.norm(np.gradient(smooth, take.time, axis=0), axis=2)
-    return Motion(take, take.time, joints, smooth, speed)
+    return Example(take, joints, smooth, speed)
 
 
-def fit(motions: Sequence[Motion]) -> dict[str, list[float]]:
+def fit(examples: Sequence[Example]) -> dict[str, list[float]]:
     """Return the weights of where joints were, at rest and moving."""
     count = len(MOVING)
     grams = {name: np.zeros((count, count)) for name in _STEADY}
     sides = {name: np.zeros(count) for name in _STEADY}
-    for _, time, joints, smooth, speed in motions:
-        before = time[:, None] - STEP * np.arange(1, count + 1)
-        past = places_at(before.ravel(), time, joints)
+    for take, joints, smooth, speed in examples:
+        before = take.time[:, None] - STEP * np.arange(1, count + 1)
+        past = places_at(before.ravel(), take.time, joints)
         past = past.reshape(*before.shape, *joints.shape[1:]) - joints[:, None]
         past, away = np.moveaxis(past, 1, -1), smooth - joints
         turns, leaps = np.diff(past, 3, axis=0), -np.diff(joints, 3, axis=0)
@@ -85,31 +84,31 @@ def fit(motions: Sequence[Motion]) -> dict[str, list[float]]:
     return {"at rest": rest.round(4).tolist(), "moving": moving.round(4).tolist()}
 
 
-def followed(smoother: LiveSmoother | Corrector, motion: Motion) -> Array:
-    """Return the joints [m] (T, J, 3) of a motion, smoothed frame by frame."""
+def followed(smoother: LiveSmoother | Corrector, example: Example) -> Array:
+    """Return the joints [m] (T, J, 3) of an example, smoothed frame by frame."""
     smoother.start()
-    frames = zip(motion.joints, motion.time.tolist(), strict=True)
+    frames = zip(example.joints, example.take.time.tolist(), strict=True)
     if isinstance(smoother, LiveSmoother):
         return np.array([smoother.step(*frame) for frame in frames])
-    sure = np.ones(motion.joints.shape[1])
+    sure = np.ones(example.joints.shape[1])
     seen = (Observation(joints, sure, sure, time) for joints, time in frames)
     return np.array([smoother.step(frame).positions for frame in seen])
 
 
-def measures(found: Array, motion: Motion) -> list[float]:
-    """Return the figures that the module tells of a smoothed motion."""
+def measures(found: Array, example: Example) -> list[float]:
+    """Return the figures that the module tells of a smoothed example."""
     leaps, raw = (
         np.linalg.norm(np.diff(joints, 3, axis=0), axis=2)
-        for joints in (found, motion.joints)
+        for joints in (found, example.joints)
     )
-    away = np.linalg.norm(found - motion.smooth, axis=2) * 100.0
-    rest, fast = motion.speed[3:] < _SLOW, motion.speed > _FAST
+    away = np.linalg.norm(found - example.smooth, axis=2) * 100.0
+    rest, fast = example.speed[3:] < _SLOW, example.speed > _FAST
     shares = [leaps[some].sum() / raw[some].sum() for some in (raw >= 0.0, rest)]
     far = [away[some].sum() / max(some.sum(), 1) for some in (away >= 0.0, fast)]
     return [share * 100.0 for share in shares] + far
 
 
-def _motions(files: Iterable[Path]) -> list[Motion]:
+def _examples(files: Iterable[Path]) -> list[Example]:
     takes = (
         named.take
         for file in files
@@ -117,7 +116,7 @@ def _motions(files: Iterable[Path]) -> list[Motion]:
             :: _EVERY if file.suffix == ".npz" else 1
         ]
     )
-    return [motion_of(take) for take in takes]
+    return [example_of(take) for take in takes]
 
 
 def main() -> None:
@@ -126,16 +125,16 @@ def main() -> None:
     parser.add_argument("recordings", nargs="+", type=Path)
     parser.add_argument("--test", nargs="*", type=Path, default=[])
     options = parser.parse_args()
-    for name, weights in fit(_motions(options.recordings)).items():
+    for name, weights in fit(_examples(options.recordings)).items():
         print(f"{name}: {weights}")
-    tests = _motions(options.test)
+    tests = _examples(options.test)
     for name in ("weights", "One-Euro"):
         rows = []
-        for motion in tests:
-            skeleton = motion.take.skeleton
+        for example in tests:
+            skeleton = example.take.skeleton
             euro = OneEuro(skeleton, min_cutoff=1.0, beta=12.0)
             smoother = euro if name == "One-Euro" else LiveSmoother(skeleton.root)
-            rows.append(measures(followed(smoother, motion), motion))
+            rows.append(measures(followed(smoother, example), example))
         if rows:
             print(name, np.mean(rows, axis=0).round(2).tolist())
 
