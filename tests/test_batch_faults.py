@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from batch_faults import (
@@ -27,6 +30,7 @@ from dying import clean_or_die
 
 from kinefilter import CleanConfig
 from kinefilter.pipeline.batch import run as batch_run
+from kinefilter.pipeline.batch.manifest import Row
 from kinefilter.pipeline.batch.run import clean_files
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.formats import write_take_csv
@@ -110,6 +114,28 @@ def test_a_cluster_whose_workers_die_does_every_take_once(
     monkeypatch.setattr("kinefilter.pipeline.batch.run.open_crew", Here)
     assert main(["batch", str(takes), "-o", str(tmp_path / "whole"), *options]) == 0
     check(tmp_path / "clips", tmp_path / "whole")
+
+
+@needs_dask
+def test_a_row_that_arrives_while_its_worker_dies_is_no_failure() -> None:
+    from distributed import cfexecutor
+
+    class Lost:
+        status = "lost"  # the worker died after it had sent its row
+
+        async def _result(self, *, raiseit: bool) -> Row:
+            assert not raiseit
+            return Row("take_1.csv", "done", "take_1.bvh", "")
+
+    async def arrive() -> None:
+        await cfexecutor._cascade_future(Lost(), future)
+
+    future, job, cluster = Future[Row](), Mock(), object.__new__(batch_run._Cluster)
+    asyncio.run(arrive())
+    assert cluster._row(future, job) is None  # so that it is cleaned again
+    other = Future[Row]()
+    other.set_exception(TypeError("Job() got an unexpected keyword argument"))
+    assert cluster._row(other, job) is job.row.return_value
 
 
 @needs_dask
