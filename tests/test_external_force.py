@@ -88,3 +88,17 @@ def test_in_the_air_it_is_what_the_motion_needs_however_hard_the_pulls() -> None
             character, time, positions, rotations
         ).trace.external_force
         np.testing.assert_allclose(found[10:], needed[10:] / GRAVITY, atol=0.05)
+
+
+def test_it_is_no_more_than_the_pulls_can_give() -> None:
+    act = perform("stand_idle", BODY, seed=3)
+    character = PulledCharacter(BODY, Tracking())
+    character.start(act.positions[0], act.rotations[0])
+    character.step(act.positions[1], act.rotations[1], 1 / 30)
+    character.momentum._before = np.array([0.0, 0.0, 1e9])  # as contacts that explode
+    character.step(act.positions[2], act.rotations[2], 1 / 30)
+    ranges = character.model.actuator_forcerange[
+        character.model.actuator_gear[:, 2] > 0
+    ]
+    strongest = np.abs(ranges).max(axis=1).sum() / WEIGHT
+    assert character.external_force == pytest.approx(strongest, rel=0.2)

@@ -33,6 +33,8 @@ class Momentum:
         self._pulling, self._places = data.actuator_force[pulls], data.site_xpos
         self._directions = model.actuator_gear[pulls, :3].copy()
         self._upward = self._directions[:, 2].copy()
+        strongest = np.abs(model.actuator_forcerange[pulls]).max(axis=1)
+        self._most = strongest @ np.abs(self._directions)
         self._masses = np.zeros(model.nsite)
         self._masses[sites] = masses
         self._gravity = float(masses.sum()) * model.opt.gravity
@@ -75,6 +77,8 @@ class Momentum:
         """Return the mean force [N], (3,), since the last call that only pulls explain.
 
         That is, not contacts, ties, gravity or pushes, of which the sum (3,) is given.
+        No more than the pulls can give: where the body was put into things by a reset,
+        contacts explode for a frame.
         """
         model = self._data.model
         step = model.opt.timestep
@@ -83,4 +87,5 @@ class Momentum:
         gained = (momentum - self._before) / (step * self.steps)
         self.start()
         self._before = momentum
-        return np.asarray(gained - self._gravity - explained - pushed)
+        force = gained - self._gravity - explained - pushed
+        return np.asarray(force.clip(-self._most, self._most))
