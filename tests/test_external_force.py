@@ -101,4 +101,4 @@ def test_it_is_no_more_than_the_pulls_can_give() -> None:
         character.model.actuator_gear[:, 2] > 0
     ]
     strongest = np.abs(ranges).max(axis=1).sum() / WEIGHT
-    assert character.external_force == pytest.approx(strongest, rel=0.2)
+    assert character.external_force == pytest.approx(strongest, rel=1e-3)

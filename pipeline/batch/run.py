@@ -144,7 +144,7 @@ class _Cluster(Crew):
         except KilledWorker:
             return None
         except Exception as error:  # e.g. a worker with another version of kinefilter
-            # Dask takes a row whose worker dies while it arrives for an error.
+            # Dask raises this if a worker dies while its row arrives.
             if str(error) == f"cannot unpack non-iterable {Row.__name__} object":
                 return None
             return job.row("failed", error=f"no worker could clean it ({error})")

@@ -24,6 +24,7 @@ from kinefilter.pipeline.live.crowd import MEASURED_FOR
 from kinefilter.pipeline.target.smooth import smooth_by_speed
 from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother, places_at
 
+from .evaluate import followed
 from .methods.filters import OneEuro
 from .recorded_acts import recordings_in
 
@@ -45,10 +46,7 @@ def example_of(take: Take) -> Example:
     """Return the joints of a take, with the person measured in the first second."""
     take = take.at(distinct_stamps(take.time))
     first = take.at(take.time <= take.time[0] + MEASURED_FOR)
-    cleaner = Cleaner().until("level")
-    cleaner.start(*Cleaner().measure(first))
-    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
-    joints = np.array([cleaner.step(*frame).positions for frame in frames])
+    joints = followed(Cleaner().until("level"), take, first)
     sure = np.ones(joints.shape[:2])
     smooth = smooth_by_speed(take.time, joints, sure, cutoff=CleanConfig().cutoff)
     speed = np.linalg.norm(np.gradient(smooth, take.time, axis=0), axis=2)
@@ -84,7 +82,7 @@ def fit(examples: Sequence[Example]) -> dict[str, list[float]]:
     return {"at rest": rest.round(4).tolist(), "moving": moving.round(4).tolist()}
 
 
-def followed(smoother: LiveSmoother | Corrector, example: Example) -> Array:
+def smoothed_by(smoother: LiveSmoother | Corrector, example: Example) -> Array:
     """Return the joints [m] (T, J, 3) of an example, smoothed frame by frame."""
     smoother.start()
     frames = zip(example.joints, example.take.time.tolist(), strict=True)
@@ -134,7 +132,7 @@ def main() -> None:
             skeleton = example.take.skeleton
             euro = OneEuro(skeleton, min_cutoff=1.0, beta=12.0)
             smoother = euro if name == "One-Euro" else LiveSmoother(skeleton.root)
-            rows.append(measures(followed(smoother, example), example))
+            rows.append(measures(smoothed_by(smoother, example), example))
         if rows:
             print(name, np.mean(rows, axis=0).round(2).tolist())
 

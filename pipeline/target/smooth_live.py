@@ -15,6 +15,7 @@ rest and in motion (``pipeline.lab.smoothing_lessons``). The latter keep steady 
 # every other sequence of punches and kicks.
 _REST, _MOTION, _FAST = 0.2, 0.6, 3.0
 _WALKING = 0.5  # m/s: a root that walks faster carries other joints along
+_JUMP = 15.0  # m/s: what is faster than a hand has jumped, and has no past. A guess.
 _SPEED_CUTOFF = 1.0  # Hz, of the velocity that tells the speed
 _LEAST_STEP = 1e-3  # s
 
@@ -45,6 +46,8 @@ class LiveSmoother:
         step = max(time - self._times[-1], _LEAST_STEP)
         turn = 2.0 * np.pi * _SPEED_CUTOFF * step
         velocity = (positions - self._last) / step
+        jumps = np.linalg.norm(positions - self._places[-1], axis=1) > _JUMP * step
+        velocity[jumps], self._places[:, jumps] = 0.0, positions[jumps]
         self._velocity += turn / (turn + 1.0) * (velocity - self._velocity)
         before = time - STEP * np.arange(1.0, len(MOVING) + 1.0)
         kept = max(int(np.searchsorted(self._times, before[-1], "right")) - 1, 0)
@@ -71,8 +74,6 @@ def _weights(velocity: Array, walk: Array) -> Array:
     What joints share of the velocity of a root that walks does not make them fast.
     """
     walk = walk * [1.0, 0.0, 1.0]
-    if np.linalg.norm(walk) > _FAST:  # it has jumped
-        walk = np.zeros(3)
     shared = (velocity @ walk / (walk @ walk + _WALKING**2)).clip(0.0, 1.0)
     alone = velocity - shared[:, None] * walk
     moving, fast = (

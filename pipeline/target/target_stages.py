@@ -157,8 +157,7 @@ class Smooth(Stage):
     def step(self, draft: Draft) -> None:
         """Smooth the next frame."""
         if self._cutoff > 0.0:
-            joints, time = draft.positions, float(draft.time)
-            draft.positions = self._smoother.step(joints, time)
+            draft.positions = self._smoother.step(draft.positions, float(draft.time))
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Smooth a take."""
