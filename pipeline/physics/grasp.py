@@ -4,7 +4,8 @@ A performer mimes: what they hold has another size and place than the prop of th
 Where both hands slow down on either side of a prop, the character's hands go to its own
 faces. There each palm is tied to the prop until the performer's hands part or hang, the
 prop rests where they put it down, or it pulls harder than hands can. A ball may go to
-one hand that pushes it to the floor, and back. Thin props are for one hand alone.
+one hand that pushes it to the floor, and back, or fly into hands that wait for it. Thin
+props are for one hand alone.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from kinefilter.characters.rotations import cross, unit
 from kinefilter.retarget.limbs import Reach, smooth_step
 
 from .carry import Carry, PerformerHands
+from .catch import Catch
 from .compliance import damped
 from .dribble import Dribble
 from .holdable import HANDS, HORIZONTAL, STRENGTH, UP, Holdable
@@ -68,7 +70,7 @@ class Grasp:
         self._wide = [prop for prop in self.props if prop.for_two]
         thin = [prop for prop in self.props if prop.for_one]
         self._each = [OneHand(number, thin) for number in (0, 1)] if thin else []
-        self._carry: Carry | Dribble | None = None
+        self._carry: Carry | Catch | Dribble | None = None
         self._sought: Holdable | None = None
         self.start()
 
@@ -100,7 +102,7 @@ class Grasp:
     @property
     def held(self) -> Holdable | None:
         """What both hands hold, or else one of them."""
-        if self._carry is not None:
+        if self._carry is not None and not isinstance(self._carry, Catch):
             return self._carry.prop
         return next((hand.held for hand in self._each if hand.held), None)
 
@@ -115,8 +117,11 @@ class Grasp:
         return loads
 
     def press(self) -> Array | None:
-        """Push a dribbled ball in the next step of the engine, as ``Dribble.press``."""
-        return self._carry.press() if isinstance(self._carry, Dribble) else None
+        """Push a ball that is not tied in the next step of the engine.
+
+        Returns the force [N], (3,), in MuJoCo's world, or None where no hand has it.
+        """
+        return None if isinstance(self._carry, Carry | None) else self._carry.press()
 
     def drop(self) -> None:
         """Let go of what is held, if anything."""
@@ -137,6 +142,8 @@ class Grasp:
             return positions, rotations
         performer = self._performer(positions, seen, dt)
         wanted = np.zeros((2, 3))
+        if self.held is None and self._carry is None:
+            self._carry = Catch.of(self._wide, performer)
         if self._carry is None:
             wanted = self._seek(performer)
             if self._waited > 0.0:  # the hands stay at the prop, not the performer's
@@ -155,8 +162,9 @@ class Grasp:
             elif (passed := self._passed_on(performer)) is not None:
                 self._carry, wanted = passed, self._away
             else:
+                if not isinstance(self._carry, Catch):
+                    self._beside, self._leaving = self._now, _LEAVING_TIME
                 self.drop()
-                self._beside, self._leaving = self._now, _LEAVING_TIME
         for number, hand in enumerate(self._each):
             if self._carry is None and self._waited == 0.0:
                 wanted[number] += hand.step(performer, self._now[number])
@@ -169,11 +177,11 @@ class Grasp:
         return self._reach(positions, rotations, self._away)
 
     def _passed_on(self, performer: PerformerHands) -> Carry | Dribble | None:
-        """Return what happens to a ball that went from both hands to one, or back."""
+        """Return what happens to a ball that both hands have now, or one of them."""
         carry = self._carry
         if isinstance(carry, Carry) and carry.stays is not None:
             return Dribble(carry.prop, carry.stays, performer)
-        if isinstance(carry, Dribble) and carry.caught is not None:
+        if isinstance(carry, Catch | Dribble) and carry.caught is not None:
             return Carry(carry.prop, carry.caught, performer)
         return None
 

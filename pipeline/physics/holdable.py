@@ -228,6 +228,13 @@ class Holdable:
         """Velocity of its body [m/s], shape (3,)."""
         return from_mujoco(self._data.qvel[self._speed])
 
+    @property
+    def from_palms(self) -> float:
+        """Distance of its body from the middle between both palms [m]."""
+        data = self._data
+        off = data.site_xpos[self._palms].mean(axis=0) - data.xpos[self.body]
+        return float(np.linalg.norm(off))
+
     def stay_at(self, hands: Sequence[int], frequency: float) -> Array:
         """Pull it under a palm, or between both (0, 1); return the force [N].
 

@@ -62,8 +62,9 @@ class World:
                 spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         else:
             spec = load_scene(scene, bodies, tracking=tracking)
-            add_ties(spec, len(bodies))
         extend(spec)
+        if scene is not None:
+            add_ties(spec, len(bodies))
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.characters: list[Any] = []  # PulledCharacter, whose file imports this one
