@@ -19,7 +19,7 @@ from .carry import PerformerHands
 from .holdable import HORIZONTAL, UP, Holdable
 
 # All of these are guesses, tried on balls thrown at people who hold out their hands.
-_COMING = 1.0  # m/s: a ball that comes to the hands at least as fast
+_COMING = 1.0  # m/s: a ball that flies to the hands at least as fast
 _EARLY = 0.6  # s before a ball arrives, in which hands go to meet it
 _REACH = 0.45  # m that hands leave the performer's for a ball
 _APART = (-0.1, 0.3)  # m that hands are farther apart than a ball that they wait for
@@ -98,8 +98,7 @@ def _meeting(prop: Holdable, performer: PerformerHands) -> Array | None:
     """
     middle, velocity = performer.palms.mean(axis=0), prop.velocity
     away = prop.center - middle
-    closing = unit(away) @ (performer.velocity.mean(axis=0) - velocity)
-    if closing < _COMING or prop.supported:
+    if unit(away) @ velocity > -_COMING or prop.supported:
         return None
     times = np.linspace(0.0, _EARLY, 25)[:, None]
     path = away + velocity * times - 0.5 * GRAVITY * times**2 * UP

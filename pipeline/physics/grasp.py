@@ -161,10 +161,12 @@ class Grasp:
                 wanted = carried - performer.palms
             elif (passed := self._passed_on(performer)) is not None:
                 self._carry, wanted = passed, self._away
+            elif isinstance(self._carry, Catch):  # the ball went by
+                self._carry.prop.untie()
+                self._carry = None
             else:
-                if not isinstance(self._carry, Catch):
-                    self._beside, self._leaving = self._now, _LEAVING_TIME
                 self.drop()
+                self._beside, self._leaving = self._now, _LEAVING_TIME
         for number, hand in enumerate(self._each):
             if self._carry is None and self._waited == 0.0:
                 wanted[number] += hand.step(performer, self._now[number])
