@@ -33,6 +33,7 @@ from kinefilter.pipeline.lab.methods.fourier_ridge_learner import (
 from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.training import observed, standard_truth, training_set
 from kinefilter.pipeline.pairs import read_pairs
+from kinefilter.retarget import HeadingFrame, Standardizer
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -224,6 +225,27 @@ def test_live_motion_goes_on_after_a_pause(model: FourierRidge) -> None:
     made = np.array([model.step(late.at(k)).positions for k in range(30)])
     assert np.isfinite(made).all()
     assert 0.01 < np.abs(made - seen).max() < 0.2
+
+
+def test_a_spine_joint_near_the_hips_does_not_bend_the_trunk(
+    model: FourierRidge,
+) -> None:
+    """Trunks of people before Kinect v1, whose spine joint is low, bowed in punches."""
+    standard = standard_body(KINECT_V1)
+    lengths = standard.lengths.copy()
+    root, spine, girdle = 0, *map(KINECT_V1.index, ("Spine", "ShoulderCenter"))
+    lengths[[spine, girdle]] = 0.08, 0.38
+    person = Standardizer(replace(standard, lengths=lengths))
+    shift = np.random.default_rng(0).normal(0.0, 0.03, (20, 3))
+    shift[root] = 0.0
+    assert np.abs(model._trunk_shift(shift, standard.lengths)).max() < 1e-9
+    there = HeadingFrame(np.zeros(3), np.zeros(()))
+    before, after = (
+        person.undo(standard.rest_positions + moved, there)
+        for moved in (0.0, shift + model._trunk_shift(shift, lengths))
+    )
+    size = 0.46 / standard.lengths[[spine, girdle]].sum()
+    np.testing.assert_allclose((after - before)[girdle], size * shift[girdle])
 
 
 def test_missing_joints_go_along_with_their_limb(model: FourierRidge) -> None:

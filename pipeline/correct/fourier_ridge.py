@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from kinefilter.characters import KINECT_V2, Skeleton
+from kinefilter.characters import KINECT_V2, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Indices, Singles, chunks
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.standardize import chain_matrix
@@ -97,6 +97,10 @@ class FourierRidge(LearnedCorrector):
         self._parents = np.array(skeleton.parents)
         self._hangs = (self._parents >= 0)[:, None]
         self._chain = chain_matrix(skeleton)
+        spine = skeleton.parents[skeleton.girdle]
+        self._trunk_chain = [skeleton.root, spine, skeleton.girdle]
+        self._standard = standard_body(skeleton).lengths
+        self._above = self._chain[:, [skeleton.girdle]]  # 1 from the girdle on
         self._person: int | None = None
         names = [skeleton.joints[j] for j in self.joints_]
         leg = [name.startswith(("Knee", "Ankle", "Foot")) for name in names]
@@ -265,6 +269,8 @@ class FourierRidge(LearnedCorrector):
         for j in self.skeleton.order[1:] if missing.any() else ():
             ends = shift[..., self.skeleton.parents[j], :], shift[..., j, :]
             shift[..., j, :] = np.where(missing[..., j, None], *ends)
+        if seen.lengths is not None:
+            shift += self._trunk_shift(shift, seen.lengths)
         moved = posture + shift
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
@@ -284,6 +290,21 @@ class FourierRidge(LearnedCorrector):
                 moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
+
+
+    def _trunk_shift(self, shift: Array, lengths: Array) -> Array:
+        """Return what to add to offsets (..., J, 3) for a trunk of these proportions.
+
+        The girdle then moves as far on the person's body, for its size, as on the
+        standard body. Kinect v1 has the spine joint near the hips; the long bone above
+        it would tilt as the short one of the standard body does.
+        """
+        trunk = self._trunk_chain[1:]
+        root, spine, girdle = (shift[..., j, :] for j in self._trunk_chain)
+        low, high = lengths[trunk] / self._standard[trunk]
+        whole = lengths[trunk].sum() / self._standard[trunk].sum()
+        bone = (whole * (girdle - root) - low * (spine - root)) / high
+        return np.asarray((bone - girdle + spine)[..., None, :] * self._above)
 
 
 class _Inputs(NamedTuple):
