@@ -291,7 +291,6 @@ class FourierRidge(LearnedCorrector):
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
         return Correction(moved, None, confidence, found.similar[..., 0])
 
-
     def _trunk_shift(self, shift: Array, lengths: Array) -> Array:
         """Return what to add to offsets (..., J, 3) for a trunk of these proportions.
 
