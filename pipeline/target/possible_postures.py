@@ -6,9 +6,12 @@ against each other. Where a sensor swaps sides, and where people turn while a fo
 stands or between two places, toes would point backward.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
+from kinefilter.characters.anthropometry import STANDARD_HEIGHT
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import cross, unit, wrapped
 from kinefilter.pipeline.failures.limb_failures import LIMBS
@@ -74,6 +77,83 @@ def possible_trunk(positions: Array, body: Body) -> Array:
     moved[:, joints[:, 0]] += change
     moved[:, joints[:, 1]] -= change
     return moved
+
+
+_THICK = np.array([0.15, 0.11])
+"""Half width and depth [m] of a trunk of average size, within which no forearm's axis
+is in mocap of s02, s03 and s04."""
+_OUTWARD = np.array([[[0.5, 0.0]], [[-0.5, 0.0]]])
+"""Shares of these by which the left and right arm rather go to their own side."""
+_LOW, _HIGH = (-0.15, 0.0), (0.85, 1.0)
+"""Heights, from hips to shoulders, between which the trunk begins, and ends."""
+
+
+def possible_arms(positions: Array, body: Body) -> Array:
+    """Return joints [m] (T, J, 3) with forearms outside of the trunk.
+
+    A Kinect beside a person puts the arm that it does not see into the body. Elbows and
+    wrists are moved across the trunk only, rather to their own side, and hands with the
+    wrists.
+    """
+    skeleton = body.skeleton
+    parts = [skeleton.sides(part) for part in ("Elbow", "Wrist")]
+    size = _THICK * body.height / STANDARD_HEIGHT
+    hips, shoulders = skeleton.hips, skeleton.sides("Shoulder")
+    corners = positions[:, [*shoulders, *hips]].reshape(-1, 2, 2, 3)
+    upper, low = corners.mean(axis=2).transpose(1, 0, 2)
+    ends = positions[:, np.transpose(parts)] - low[:, None, None]
+    up = unit(upper - low)
+    # Few arms are near enough to the line from hips to shoulders.
+    points = np.concatenate([ends, ends.mean(axis=2, keepdims=True)], axis=2)
+    along = (points @ up[:, None, :, None])[..., 0]
+    away = np.vecdot(points, points) - along**2
+    near = np.flatnonzero(away.min(axis=(1, 2)) < size.max() ** 2)
+    if not len(near):
+        return positions
+    trunk = _Trunk(corners[near], (upper - low)[near], up[near], size)
+    ends = ends[near]
+    moves = trunk.way_out(ends.mean(axis=2, keepdims=True))
+    moves = moves + trunk.way_out(ends + moves)
+    moved = positions.copy()
+    for side, (elbow, wrist) in enumerate(np.transpose(parts).tolist()):
+        hand = [wrist, *skeleton.descendants(wrist)]
+        moved[near, elbow] += moves[:, side, 0]
+        moved[np.ix_(near, hand)] += moves[:, side, 1:]
+    return moved
+
+
+class _Trunk(NamedTuple):
+    """Trunks (T) as ellipses of a half width and depth [m], ``size`` (2,)."""
+
+    corners: Array  # shoulders and hips, left and right [m], shape (T, 2, 2, 3)
+    line: Array  # from the middle of the hips to that of the shoulders [m], (T, 3)
+    up: Array  # its direction, (T, 3)
+    size: Array
+
+    def way_out(self, points: Array) -> Array:
+        """Return moves [m] that bring points of both arms out, (T, 2, N, 3).
+
+        The points are relative to the middle of the hips.
+        """
+        line, up = self.line[:, None, None], self.up[:, None, None]
+        height = np.vecdot(points, line) / np.maximum(np.vecdot(line, line), 1e-9)
+        share = height.clip(0.0, 1.0)[..., None]
+        lefts = unit(self.corners[:, :, 0] - self.corners[:, :, 1])[:, None, None]
+        left = share * lefts[..., 0, :] + (1.0 - share) * lefts[..., 1, :]
+        left = unit(left - np.vecdot(left, up)[..., None] * up)
+        axes = np.stack([left, cross(left, np.broadcast_to(up, left.shape))], axis=-2)
+        place = (axes @ points[..., None])[..., 0] / self.size
+        way = unit(place + _OUTWARD)
+        along = np.vecdot(place, way)
+        inside = np.maximum(1.0 - np.vecdot(place, place), 0.0)
+        far = np.sqrt(along**2 + inside) - along  # to the edge of the ellipse
+        begins, ends = (
+            ((height - first) / (last - first)).clip(0.0, 1.0)
+            for first, last in (_LOW, _HIGH)
+        )
+        far *= begins * (1.0 - ends) * (inside > 0.0)
+        across = far[..., None] * way * self.size
+        return np.asarray((across[..., None, :] @ axes)[..., 0, :])
 
 
 _SPLAYED = np.radians(75.0)

@@ -21,7 +21,7 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
-from .possible_postures import possible_knees, possible_trunk
+from .possible_postures import possible_arms, possible_knees, possible_trunk
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
@@ -93,7 +93,7 @@ class Upright(SharedStage):
 
 
 class Ranges(Stage):
-    """Stage that keeps trunks from folding or twisting, and knees from bending back."""
+    """Stage that keeps trunks, knees and arms from postures that nobody can take."""
 
     name = "ranges"
     local = True
@@ -101,11 +101,13 @@ class Ranges(Stage):
     def step(self, draft: Draft) -> None:
         """Put the joints of the next frame where bodies can have them."""
         positions = possible_trunk(draft.positions[None], draft.body)
+        positions = possible_arms(positions, draft.body)
         draft.positions = possible_knees(positions, draft.skeleton)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Put the joints of a take where bodies can have them."""
         positions = possible_trunk(draft.positions, draft.body)
+        positions = possible_arms(positions, draft.body)
         draft.positions = possible_knees(positions, draft.skeleton)
 
 
