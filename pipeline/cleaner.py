@@ -88,7 +88,7 @@ class Cleaner:
             Standardize(),  # map to the standard body, root at the origin, facing +z
             Correct(config, corrector),  # correct unreliable joints, map back
             MeasureCorrectedBody(config),  # measure the segments again, as corrected
-            Ranges(),  # keep trunks and knees from bending as nobody can
+            Ranges(),  # keep trunks, arms and knees from where nobody has them
             Level(config),  # find the stances, and level the floor under them
             Smooth(config),  # smooth the joints, slow ones most
             Floor(config),  # put the floor at y = 0, under the planted feet
