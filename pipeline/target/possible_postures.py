@@ -79,7 +79,7 @@ def possible_trunk(positions: Array, body: Body) -> Array:
     return moved
 
 
-_THICK = np.array([0.15, 0.11])
+_THICK = np.array([0.18, 0.13])
 """Half width and depth [m] of a trunk of average size, within which no forearm's axis
 is in mocap of s02, s03 and s04."""
 _OUTWARD = np.array([[[0.5, 0.0]], [[-0.5, 0.0]]])
