@@ -148,7 +148,10 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
         _check_skeletons(clip, take)
         clip = _with_stamps_of(take, clip)
         if clip.time is not stored:
-            times = np.interp(times, stored, clip.time)
+            stamps = clip.time
+            if len(stamps) > len(stored):  # USD kept one of repeated stamps
+                stamps = stamps[distinct_stamps(stamps)]
+            times = np.interp(times, stored, stamps)
         nearest = nearest_frames(take.time, times)
         apart = np.abs(take.time[nearest] - times)
         if np.median(apart) > _APART:
