@@ -147,3 +147,26 @@ def test_without_four_even_frames_only_jitter_is_unknown() -> None:
     unknown = {name for name, value in asdict(found).items() if not np.isfinite(value)}
     assert unknown <= {"jitter", "flight_error"}
     assert "jitter" in unknown
+
+
+def test_bvh_that_leaves_the_clock_of_its_take_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = np.delete(np.arange(len(TAKE)), np.s_[20:60:2])
+    take, clip = tmp_path / "take.csv", tmp_path / "take.bvh"
+    write_take_csv(TAKE.at(kept), take)
+    quick = ["--method", "none", "--no-physics"]
+    words = "0.59 s off the take's time stamps; with --fps 30 it"
+
+    def printed(*options: str) -> str:
+        assert main(["clean", str(take), "-o", str(clip), *quick, *options]) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    assert words in printed()
+    assert "time stamps" not in printed("--fps", "30")
+    assert "time stamps" not in printed("--end", "0.6")
+    batch = ["batch", str(take), "-o", str(tmp_path / "out"), "--to", "bvh", *quick]
+    assert main(batch) == 0
+    assert words in (tmp_path / "out" / "manifest.jsonl").read_text(encoding="utf-8")
+    write_take_csv(TAKE, take)
+    assert "time stamps" not in printed()

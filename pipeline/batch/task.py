@@ -15,6 +15,7 @@ from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
+from kinefilter.pipeline.formats.export import timing_notes
 from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.plain import finite, printable
 from kinefilter.pipeline.settings import (
@@ -102,7 +103,9 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
             if isinstance(result, InputError):
                 raise result
             fused = merged.all_notes() if merged else ()
-            result = replace(result, notes=(*take_notes, *fused, *result.notes))
+            timing = timing_notes(job.settings.export, path.suffix, result.clips)
+            notes = (*take_notes, *fused, *result.notes, *timing)
+            result = replace(result, notes=notes)
             each = zip(part_paths(path, len(result.clips)), result.clips, strict=True)
             row["clips"] += tuple(_write(result, c, str(p), body, job) for p, c in each)
             if merged:
