@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import InputError, Origin, Take
+from kinefilter.characters import InputError, Origin, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.retarget.limbs import smooth_step
@@ -218,6 +218,19 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
     draft.stands = draft.stands & ~raised
     draft.contacts = draft.contacts & ~raised.repeat(2, axis=1)
     draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
+
+
+def moved_by_pins(edits: Sequence[Edit], time: Array, skeleton: Skeleton) -> Flags:
+    """Return which joints pins move, and when, shape (T, J); time stamps [s] (T,)."""
+    moved, since = np.zeros((len(time), len(skeleton)), np.bool_), time - time[0]
+    for edit in edits:
+        if edit.kind == "pin":
+            j = skeleton.index(edit.joints[0])
+            middles = (middle for _, middle, _ in limbs(skeleton))
+            first = next((k for k in middles if j in skeleton.descendants(k)), j)
+            near = np.abs(since - edit.begin) <= _AROUND
+            moved[np.ix_(near, [first, *skeleton.descendants(first)])] = True
+    return moved
 
 
 def _curve(times: Array, values: Array) -> Any:  # a CubicHermiteSpline
