@@ -39,3 +39,15 @@ def test_a_limb_moved_by_pins_is_no_tracker_failure(
         pins = [pinned(before, joint, frame, off) for frame in (90, 100, 110)]
         found = CLEANER.clean(TAKE, edits=pins, before=unedited)
         assert found.damage == before.damage, joint
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.03, 0.05, -0.04)])
+@pytest.mark.parametrize("joint", ["HandLeft", "WristRight", "ElbowLeft"])
+def test_what_is_pinned_stays_there_where_bone_lengths_move_the_trunk(
+    unedited: Unedited, before: CleanResult, joint: str, off: tuple[float, ...]
+) -> None:
+    for frame in (100, 200):
+        pin = pinned(before, joint, frame, off)
+        found = CLEANER.clean(TAKE, edits=[pin], before=unedited)
+        there = found.clip.positions[frame, TAKE.skeleton.index(joint)]
+        assert np.linalg.norm(there - pin.position) < 0.01  # m; 2 cm with the trunk
