@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gzip
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -146,3 +147,21 @@ def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
     with pytest.raises(InputError, match="no-such-thing"):
         find_sources(["no-such-thing://bucket/takes"], str(tmp_path))
+
+
+@pytest.mark.parametrize("data", [None, b"PK no archive"])
+def test_an_archive_that_is_missing_or_damaged_is_named(
+    data: bytes | None, takes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
+    archive = tmp_path / "takes.zip"
+    if data is not None:
+        archive.write_bytes(data)
+    for words in (
+        [f"zip://::{archive}", "-o", "out"],
+        [str(takes), "-o", "ftp://127.0.0.1:1/x"],
+    ):
+        assert main(["batch", *words]) == 2
+        told = capsys.readouterr().err
+        assert re.search(r"kinefilter: (zip|ftp)://.*: (access failed|cannot be)", told)
+        assert "check the address" in told or "cannot be reached" in told
