@@ -165,3 +165,24 @@ def test_an_archive_that_is_missing_or_damaged_is_named(
         told = capsys.readouterr().err
         assert re.search(r"kinefilter: (zip|ftp)://.*: (access failed|cannot be)", told)
         assert "check the address" in told or "cannot be reached" in told
+
+
+def test_a_folder_without_takes_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    takes = tmp_path / "takes"
+    takes.mkdir()
+    for name in ("b.csv", "a.csv"):
+        (takes / name).write_text("what we did today\n")
+    for _ in range(2):  # then, the manifest knows them
+        assert main(["batch", str(takes), "-o", str(tmp_path / "out")]) == 2
+        told = capsys.readouterr().err
+        assert re.search(r"no take among 2 files; .*a\.csv: .*expected", told), told
+
+
+def test_frames_of_a_take_are_no_other_files(tmp_path: Path) -> None:
+    names = [f"{who}_{k:012}_keypoints.json" for who in "ab" for k in range(3, 6)]
+    for name in [*names, "notes.json"]:
+        (tmp_path / name).write_text('{"people": []}')
+    found = {source.take for source in find_sources([str(tmp_path)], "out")}
+    assert found == {names[0], names[3], "notes.json"}

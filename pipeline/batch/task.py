@@ -81,6 +81,18 @@ def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
     return replace(recording, takes=tuple(takes)), sha256
 
 
+def why_no_take(job: Job) -> str:
+    """Return why the first file of a job is no take, or what to try."""
+    source = job.sources[0]
+    where = source.store.path(source.file.name)
+    with source.store.reading(source.file.name) as path:
+        try:
+            job.settings.read(path)
+        except InputError as error:
+            return str(error).replace(str(path), where)
+    return f"{where}: does not begin like a take; to clean it nevertheless, name it"
+
+
 def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     """Clean the chosen people, and return values of the row, with any errors."""
     recordings = [recording for recording in read if recording is not None]
