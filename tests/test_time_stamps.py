@@ -75,6 +75,11 @@ def test_frames_seconds_apart_are_no_motion(tmp_path: Path) -> None:
     assert read_take(_write(20.0, 0.0, tmp_path / "slower.csv")).fps > 1.0
 
 
+def test_stamps_too_close_together_ask_for_their_unit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unit of the times \(seconds, or 100 ns in"):
+        read_take(_write(1e-4, 0.0, tmp_path / "fast.csv"))
+
+
 @pytest.mark.parametrize("shift", [-500.0, 1e9, 1.7e9])
 def test_where_stamps_begin_does_not_matter(shift: float, tmp_path: Path) -> None:
     take = read_take(_write(1.0, shift, tmp_path / "take.csv"))
@@ -98,6 +103,7 @@ def test_stamps_too_far_from_zero_to_tell_frames_apart_are_refused(
     [
         ("nan", "is empty, expected a time"),
         ("", "is empty, expected a time"),
+        ("1x6", "is '1x6', expected a number; correct or delete the row"),
         ("inf", "is infinite"),
         ("-inf", "is infinite"),
         ("-1", "goes backwards"),
