@@ -11,6 +11,7 @@ from kinefilter.characters.arrays import Array, runs
 from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
 
 from .draft import Draft
+from .editing import moved_by_pins
 from .edits import Edit
 from .failures import Failure, describe_failures, find_displaced
 from .formats.plain import times_told
@@ -84,9 +85,10 @@ def result_of(
     """
     measured = to_world(draft.measured, draft.tilt, draft.floor)
     moved_by_correction = distances(draft.posed, measured)
-    displaced = find_displaced(
-        draft.time, measured, draft.posed, draft.heading.yaw, take.skeleton
-    )
+    measured[moved_by_pins(edits, draft.time, take.skeleton)] = np.nan
+    yaw = draft.heading.yaw
+    found = find_displaced(draft.time, measured, draft.posed, yaw, take.skeleton)
+    displaced = tuple(found)
     del measured
     tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll
     raw = to_world(recorded.positions, tilt, draft.floor, roll)

@@ -23,6 +23,7 @@ from kinefilter.characters.arrays import (
 from kinefilter.characters.skeleton import check_skeleton
 from kinefilter.pipeline.formats.files import as_path, refused
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
+from kinefilter.pipeline.formats.plain import counted
 
 _ARRAYS = ("positions", "rotations", "labels")
 _LARGEST = 10.0  # coordinate [m] or component of a quaternion that is not damaged
@@ -120,7 +121,8 @@ class PostureDatabase:
     def summary(self) -> str:
         """A description of the database in one line."""
         return (
-            f"{len(self)} postures of {len(set(self.labels.tolist()))} motions, "
+            f"{counted(len(self), 'posture')} of "
+            f"{counted(len(set(self.labels.tolist())), 'motion')}, "
             f"{self.skeleton.name}, {self.spacing * 100:.1f} cm apart"
         )
 

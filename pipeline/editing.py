@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kinefilter.characters import InputError, Origin, Take
+from kinefilter.characters import InputError, Origin, Skeleton, Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.retarget.limbs import smooth_step
@@ -77,7 +77,7 @@ def clean_again(
         stage.run(draft, progress)
     away_of_feet = _plant(stages[feet], draft, edits, progress)
     away = np.minimum(_away(take, edits), away_of_feet)
-    pin(draft, [edit for edit in edits if edit.kind == "pin"])
+    pin(draft, [edit for edit in edits if edit.kind == "pin"], before)
     share = smooth_step((_FADED - away) / (_FADED - _FULL))[:, None]
     old, planted = before.planted, copy(before.planted)
     planted.put(draft, slice(None), away < 0.5 * (_FULL + _FADED))
@@ -171,7 +171,7 @@ def _from(since: Array, frames: Flags) -> Array:
     return away
 
 
-def pin(draft: Draft, pins: Sequence[Edit]) -> None:
+def pin(draft: Draft, pins: Sequence[Edit], before: Unedited) -> None:
     """Move joints to their pins, and the joints beyond them along with them.
 
     If a limb's end is pinned, its elbow or knee bends as before; restoring bone lengths
@@ -188,6 +188,10 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
                 f"{place.round(2).tolist()}; pin it within {_FARTHEST:g} m of that, in "
                 "meters in the clip's frame of reference"
             )
+    # Afterwards, legs of the right length move everything above them as one.
+    legs = [k for hip in skeleton.hips for k in skeleton.descendants(int(hip))]
+    later = np.delete(before.done.posed - before.planted.positions, legs, axis=1)
+    lift = np.median(later, axis=1)
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
     origin, stands = draft.origin.copy(), weights >= PLANTED
     for name in dict.fromkeys(pinned.joints[0] for pinned in pins):
@@ -196,6 +200,8 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
         places = {int(p.frames(since).argmax()): p.position for p in own}
         frames = list(places)
         away = np.array(list(places.values())) - positions[frames, j]
+        if j not in legs:
+            away -= lift[frames]
         curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
         moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)
         ends = (x for x in limbs(skeleton) if j in skeleton.descendants(x[1]))
@@ -218,6 +224,19 @@ def pin(draft: Draft, pins: Sequence[Edit]) -> None:
     draft.stands = draft.stands & ~raised
     draft.contacts = draft.contacts & ~raised.repeat(2, axis=1)
     draft.positions, draft.bone_weights, draft.origin = positions, weights, origin
+
+
+def moved_by_pins(edits: Sequence[Edit], time: Array, skeleton: Skeleton) -> Flags:
+    """Return which joints pins move, and when, shape (T, J); time stamps [s] (T,)."""
+    moved, since = np.zeros((len(time), len(skeleton)), np.bool_), time - time[0]
+    for edit in edits:
+        if edit.kind == "pin":
+            j = skeleton.index(edit.joints[0])
+            middles = (middle for _, middle, _ in limbs(skeleton))
+            first = next((k for k in middles if j in skeleton.descendants(k)), j)
+            near = np.abs(since - edit.begin) <= _AROUND
+            moved[np.ix_(near, [first, *skeleton.descendants(first)])] = True
+    return moved
 
 
 def _curve(times: Array, values: Array) -> Any:  # a CubicHermiteSpline

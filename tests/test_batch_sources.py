@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gzip
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -146,3 +147,42 @@ def test_a_protocol_that_is_not_installed_is_named(tmp_path: Path) -> None:
     pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
     with pytest.raises(InputError, match="no-such-thing"):
         find_sources(["no-such-thing://bucket/takes"], str(tmp_path))
+
+
+@pytest.mark.parametrize("data", [None, b"PK no archive"])
+def test_an_archive_that_is_missing_or_damaged_is_named(
+    data: bytes | None, takes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("fsspec", reason="fsspec, of the extra cluster, is not here")
+    archive = tmp_path / "takes.zip"
+    if data is not None:
+        archive.write_bytes(data)
+    for words in (
+        [f"zip://::{archive}", "-o", "out"],
+        [str(takes), "-o", "ftp://127.0.0.1:1/x"],
+    ):
+        assert main(["batch", *words]) == 2
+        told = capsys.readouterr().err
+        assert re.search(r"kinefilter: (zip|ftp)://.*: (access failed|cannot be)", told)
+        assert "check the address" in told or "cannot be reached" in told
+
+
+def test_a_folder_without_takes_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    takes = tmp_path / "takes"
+    takes.mkdir()
+    for name in ("b.csv", "a.csv"):
+        (takes / name).write_text("what we did today\n")
+    for _ in range(2):  # then, the manifest knows them
+        assert main(["batch", str(takes), "-o", str(tmp_path / "out")]) == 2
+        told = capsys.readouterr().err
+        assert re.search(r"no take among 2 files; .*a\.csv: .*expected", told), told
+
+
+def test_frames_of_a_take_are_no_other_files(tmp_path: Path) -> None:
+    names = [f"{who}_{k:012}_keypoints.json" for who in "ab" for k in range(3, 6)]
+    for name in [*names, "notes.json"]:
+        (tmp_path / name).write_text('{"people": []}')
+    found = {source.take for source in find_sources([str(tmp_path)], "out")}
+    assert found == {names[0], names[3], "notes.json"}

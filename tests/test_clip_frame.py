@@ -226,3 +226,21 @@ def test_stamps_are_the_same_where_every_frame_has_its_own(
         clip.skeleton,
     )
     assert same_stamps(clip, take) == same
+
+
+def test_usd_of_a_take_with_repeated_time_stamps_shows_its_take(tmp_path: Path) -> None:
+    take = _seen("walk", 0.0, -0.9)
+    frames = np.sort(np.append(np.arange(120), [20, 20, 50]))
+    take = replace(
+        take,
+        **{n: getattr(take, n)[frames] for n in ("positions", "state")},
+        time=take.time[frames] + 1.5,
+    )
+    write_take_csv(take, tmp_path / "take.csv")
+    clip = clean(take, QUICK).clip
+    write_clip(clip, tmp_path / "clip.usdc")
+    shown = read_clip(tmp_path / "clip.usdc")
+    assert len(shown) == 120
+    found = raw_positions(tmp_path / "take.csv", shown, shown.time)
+    expected = in_clip_frame(take, clip)[np.unique(frames, return_index=True)[1]]
+    np.testing.assert_allclose(found, expected, atol=1e-3)

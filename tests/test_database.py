@@ -51,6 +51,8 @@ def test_spacing_is_the_root_mean_square_distance_to_the_nearest_other() -> None
     assert base.spacing == pytest.approx(float(expected))
     words = f"60 postures of 3 motions, kinect_v1, {100 * expected:.1f} cm apart"
     assert base.summary == words
+    one = replace(base, labels=np.full_like(base.labels, base.labels[0]))
+    assert one.summary.startswith("60 postures of 1 motion, ")
 
 
 # Files

@@ -331,6 +331,19 @@ def test_written_clips_hold_still_in_a_gap(
         np.testing.assert_array_equal(last, late)
 
 
+def test_which_files_can_be_compared_across_a_gap_is_told(
+    held: CleanResult, tmp_path: Path
+) -> None:
+    take = _with_gap(60.0, _walk())
+    write_clip(held.clip, tmp_path / "walk.bvh")
+    for clip in (read_clip(tmp_path / "walk.bvh"), held.clip.at(np.s_[:FRAMES])):
+        with pytest.raises(InputError, match=r"\(60 s\).*--gaps hold to \.npz"):
+            compare(clip, take)
+    for suffix in (".npz", ".usdc", ".glb"):
+        write_clip(held.clip, tmp_path / f"walk{suffix}")
+        compare(read_clip(tmp_path / f"walk{suffix}"), take)
+
+
 @pytest.mark.parametrize(("suffix", "fps"), [(".bvh", None), (".npz", 30.0)])
 def test_no_file_holds_still_for_years(
     held: CleanResult, suffix: str, fps: float | None, tmp_path: Path

@@ -281,5 +281,5 @@ def test_limbs_and_gaps_may_be_listed_with_commas_and_names_are_whole(
 
 
 def test_hiding_needs_pairs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "--hide", "arms"]) == 2
-    assert "--hide needs pairs files" in capsys.readouterr().err
+    assert main(["evaluate", "--hide", "arms", "pairs.npz"]) == 2
+    assert "--hide needs pairs files; put them first" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from kinefilter.characters import KINECT_V2, Clip, InputError, Take, standard_bo
 from kinefilter.characters.motion import nearest_frames
 from kinefilter.pipeline.formats import write_clip, write_take_csv
 from kinefilter.pipeline.look.cameras import CAMERAS, axes_toward, camera_path
-from kinefilter.pipeline.look.comparison import raw_positions
+from kinefilter.pipeline.look.comparison import compare, raw_positions
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.look.video import PART, output_paths, shown_frames, stretches
@@ -241,6 +241,20 @@ def test_a_part_without_time_stamps_is_drawn_beside_its_part_of_the_take(
         clip = read_finite_clip(tmp_path / f"clip{kind}")
         shown.append(raw_positions(path, clip, clip.time))
     np.testing.assert_allclose(shown[1], shown[0], atol=0.05)
+
+
+def test_bvh_of_a_take_with_dropped_frames_has_its_time_stamps(tmp_path: Path) -> None:
+    take, path = read_take(scenes.SAMPLE), tmp_path / "take.csv"
+    take = take.at(np.delete(np.arange(len(take)), np.s_[20:60:2]))
+    write_take_csv(take, path)
+    whole = clean(take, CleanConfig(method="none", physics=False)).clip
+    write_clip(whole, tmp_path / "clip.bvh")
+    clip = read_finite_clip(tmp_path / "clip.bvh")
+    assert np.abs(clip.time - take.time).max() > 0.2  # but for this, no trouble
+    found = compare(clip, read_take(path))
+    np.testing.assert_allclose(found.clip.time, take.time, atol=1e-4)
+    drawn = raw_positions(path, clip, clip.time)
+    np.testing.assert_allclose(drawn, found.raw, atol=0.01)
 
 
 @pytest.mark.parametrize(

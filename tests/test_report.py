@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 from kinefilter import CleanConfig, clean
 from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, InputError, Skeleton, Take
 from kinefilter.pipeline.cli import main
-from kinefilter.pipeline.formats import read_take, write_clip, write_take_csv
+from kinefilter.pipeline.formats import (
+    read_clip,
+    read_take,
+    write_clip,
+    write_take_csv,
+)
 from kinefilter.pipeline.look.comparison import compare, read_comparison
 from kinefilter.pipeline.look.page import parse_limit, write_report
 from kinefilter.pipeline.metrics import METRICS, distances
@@ -297,6 +302,18 @@ def test_fail_on_gives_exit_code_1_and_the_page(
     metrics = {metric["name"]: metric for metric in _contents(page)["metrics"]}
     assert {"text": "> 0.001", "fails": True} in metrics["jitter"]["limits"]
     assert {"text": "> 100", "fails": False} in metrics["moved_cm"]["limits"]
+
+
+def test_a_limit_on_what_cannot_be_measured_does_not_pass_in_silence(
+    files: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*files, "--fail-on", "flight_error>5"]) == 0
+    assert "flight_error>5 not checked" in capsys.readouterr().err
+    clip = Path(files[1]).with_suffix(".bvh")
+    write_clip(read_clip(files[1]), clip)
+    files[1] = str(clip)
+    wrong = _refused([*files, "--fail-on", "float_mm>20"], capsys)
+    assert "which .bvh does not hold; give the clip as .npz" in wrong
 
 
 def test_a_given_limit_replaces_the_pages_own(files: list[str]) -> None:

@@ -75,6 +75,11 @@ def test_frames_seconds_apart_are_no_motion(tmp_path: Path) -> None:
     assert read_take(_write(20.0, 0.0, tmp_path / "slower.csv")).fps > 1.0
 
 
+def test_stamps_too_close_together_ask_for_their_unit(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unit of the times \(seconds, or 100 ns in"):
+        read_take(_write(1e-4, 0.0, tmp_path / "fast.csv"))
+
+
 @pytest.mark.parametrize("shift", [-500.0, 1e9, 1.7e9])
 def test_where_stamps_begin_does_not_matter(shift: float, tmp_path: Path) -> None:
     take = read_take(_write(1.0, shift, tmp_path / "take.csv"))
@@ -98,6 +103,7 @@ def test_stamps_too_far_from_zero_to_tell_frames_apart_are_refused(
     [
         ("nan", "is empty, expected a time"),
         ("", "is empty, expected a time"),
+        ("1x6", "is '1x6', expected a number; correct or delete the row"),
         ("inf", "is infinite"),
         ("-inf", "is infinite"),
         ("-1", "goes backwards"),
@@ -147,3 +153,26 @@ def test_without_four_even_frames_only_jitter_is_unknown() -> None:
     unknown = {name for name, value in asdict(found).items() if not np.isfinite(value)}
     assert unknown <= {"jitter", "flight_error"}
     assert "jitter" in unknown
+
+
+def test_bvh_that_leaves_the_clock_of_its_take_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = np.delete(np.arange(len(TAKE)), np.s_[20:60:2])
+    take, clip = tmp_path / "take.csv", tmp_path / "take.bvh"
+    write_take_csv(TAKE.at(kept), take)
+    quick = ["--method", "none", "--no-physics"]
+    words = "0.59 s off the take's time stamps; with --fps 30 it"
+
+    def printed(*options: str) -> str:
+        assert main(["clean", str(take), "-o", str(clip), *quick, *options]) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    assert words in printed()
+    assert "time stamps" not in printed("--fps", "30")
+    assert "time stamps" not in printed("--end", "0.6")
+    batch = ["batch", str(take), "-o", str(tmp_path / "out"), "--to", "bvh", *quick]
+    assert main(batch) == 0
+    assert words in (tmp_path / "out" / "manifest.jsonl").read_text(encoding="utf-8")
+    write_take_csv(TAKE, take)
+    assert "time stamps" not in printed()

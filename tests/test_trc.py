@@ -93,7 +93,7 @@ def test_damaged_trc_files_are_refused_naming_the_row(
 
 @pytest.mark.parametrize(
     ("lines", "words"),
-    [(3, "cut off"), (5, "has 0 frames"), (7, "has 1 frame")],
+    [(3, "cut off"), (5, "has 0 frames"), (7, "has 1 frame,")],
 )
 def test_trc_files_that_end_early_are_refused(
     tmp_path: Path, lines: int, words: str

@@ -15,6 +15,7 @@ from usd_positions import read_usd_positions
 
 from kinefilter.characters import KINECT_V2, Clip, InputError, standard_body
 from kinefilter.characters.rotations import rotate
+from kinefilter.pipeline.contents import contents_of
 from kinefilter.pipeline.formats import Export, read_clip, write_clip
 
 MakeClip = Callable[..., Clip]
@@ -27,6 +28,15 @@ TENTH_OF_A_MILLIMETER = 1e-4
 
 def of_height(clip: Clip, height: float) -> Clip:
     return replace(clip, body=standard_body(clip.skeleton, height=height))
+
+
+def test_a_character_without_a_motion_is_told(
+    make_clip: MakeClip, tmp_path: Path
+) -> None:
+    export = Export(character=tmp_path / "sam.usda")
+    write_clip(make_clip(6), tmp_path / "clip.usda", export)
+    with pytest.raises(InputError, match=r"only one at rest.*give a clip that refers"):
+        contents_of(tmp_path / "sam.usda")
 
 
 def test_many_clips_refer_to_one_character(make_clip: MakeClip, tmp_path: Path) -> None:

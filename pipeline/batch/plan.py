@@ -3,7 +3,14 @@
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path, PurePosixPath
@@ -13,6 +20,7 @@ from kinefilter.characters import InputError
 from kinefilter.pipeline.edits import edits_beside
 from kinefilter.pipeline.formats import check_writable
 from kinefilter.pipeline.formats.files import LARGEST_TOML, read_limited
+from kinefilter.pipeline.formats.keypoints import recording_of_frame
 from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.settings import (
     FOLDER_FILE,
@@ -91,12 +99,24 @@ def _in_folder(place: str, out: str, prefix: str) -> list[Source]:
             raise InputError(f"{store.path(name)}: {wrong}; call it {FOLDER_FILE}")
     # Output inside the searched folder is skipped.
     written = f"{canonical(out)}/".removeprefix(f"{root}/")
+    files = [file for file in files if not file.name.startswith(written)]
     return [
         Source(prefix + file.name, store, f"{root}/{file.name}", file, named=False)
-        for file in files
+        for file in _without_later_frames(files)
         if file.name.lower().removesuffix(".gz").endswith((*_TAKES, "/*"))
-        and not file.name.startswith(written)
     ]
+
+
+def _without_later_frames(files: Iterable[StoredFile]) -> Iterator[StoredFile]:
+    """Yield files in order; of the frames of OpenPose, the first stands for all."""
+    seen = set[str]()
+    for file in files:
+        folder, _, name = file.name.rpartition("/")
+        if (recording := recording_of_frame(name)) is not None:
+            if (whole := f"{folder}/{recording}") in seen:
+                continue
+            seen.add(whole)
+        yield file
 
 
 def clip_names(

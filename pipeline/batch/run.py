@@ -19,13 +19,14 @@ from typing import Any
 from kinefilter.characters import InputError
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats.files import local_path
+from kinefilter.pipeline.formats.plain import counted
 from kinefilter.pipeline.settings import Settings
 from kinefilter.pipeline.workers import ProcessDiedError, Workers, cores, one_thread
 
 from .manifest import Manifest, Row, open_manifest, write_csv
 from .plan import Job, find_sources, plan_jobs
 from .store import remove_unfinished, store_at
-from .task import clean_file
+from .task import clean_file, why_no_take
 
 _MAX_SCHEDULED = 1000  # jobs submitted to the scheduler at a time
 _CONNECT_TIMEOUT = "10s"  # for the scheduler to answer
@@ -227,8 +228,9 @@ def clean_files(
     ``given``, and the command ``Batch`` the rest. ``on_progress`` is called at the
     start, after every take, and while there are no workers.
 
-    Raises InputError if the request is impossible or the manifest cannot be written. A
-    faulty take raises nothing; its row in the outcome has the error.
+    Raises InputError if the request is impossible, no file is a take, or the manifest
+    cannot be written. A faulty take raises nothing; its row in the outcome has the
+    error.
     """
     inputs, out = [*map(local_path, inputs)], local_path(out)
     if out.startswith("memory:"):
@@ -266,6 +268,12 @@ def clean_files(
         cleanup.callback(crew.end)
         remove_unfinished(store)
         _clean(todo, crew, manifest, outcome, on_progress)
+    if all(row.status == "no take" for row in (*outcome.kept, *outcome.rows)):
+        first = min(planned, key=lambda job: job.take)
+        raise InputError(
+            f"{', '.join(inputs)}: no take among {counted(len(planned), 'file')}; "
+            f"{why_no_take(first)}"
+        )
     return outcome
 
 

@@ -193,16 +193,18 @@ def canonical(place: str) -> str:
 def _file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL, and the path in it.
 
-    Raises InputError if the protocol is unknown or its package is not installed.
+    Raises InputError if the protocol is unknown, its package is not installed, or
+    there is no answer.
     """
     require("fsspec", f"the URL {url}", "cluster")
     from fsspec.core import url_to_fs
 
-    try:
-        system, root = url_to_fs(url)
-    except (ImportError, ValueError) as error:
-        # fsspec names the package: "Install s3fs to access S3".
-        raise InputError(f"{url}: cannot be reached ({error})") from None
+    with _as_input_error(url):
+        try:
+            system, root = url_to_fs(url)
+        except (ImportError, ValueError) as error:
+            # fsspec names the package: "Install s3fs to access S3".
+            raise InputError(f"{url}: cannot be reached ({error})") from None
     return system, str(root).rstrip("/")
 
 

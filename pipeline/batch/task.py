@@ -15,6 +15,7 @@ from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats import Recording, write_clip
+from kinefilter.pipeline.formats.export import timing_notes
 from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.plain import finite, printable
 from kinefilter.pipeline.settings import (
@@ -80,6 +81,18 @@ def _read(source: Source, settings: Settings) -> tuple[Recording | None, str]:
     return replace(recording, takes=tuple(takes)), sha256
 
 
+def why_no_take(job: Job) -> str:
+    """Return why the first file of a job is no take, or what to try."""
+    source = job.sources[0]
+    where = source.store.path(source.file.name)
+    with source.store.reading(source.file.name) as path:
+        try:
+            job.settings.read(path)
+        except InputError as error:
+            return str(error).replace(str(path), where)
+    return f"{where}: does not begin like a take; to clean it nevertheless, name it"
+
+
 def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
     """Clean the chosen people, and return values of the row, with any errors."""
     recordings = [recording for recording in read if recording is not None]
@@ -102,7 +115,9 @@ def _write_clips(read: Sequence[Recording | None], job: Job) -> dict[str, Any]:
             if isinstance(result, InputError):
                 raise result
             fused = merged.all_notes() if merged else ()
-            result = replace(result, notes=(*take_notes, *fused, *result.notes))
+            timing = timing_notes(job.settings.export, path.suffix, result.clips)
+            notes = (*take_notes, *fused, *result.notes, *timing)
+            result = replace(result, notes=notes)
             each = zip(part_paths(path, len(result.clips)), result.clips, strict=True)
             row["clips"] += tuple(_write(result, c, str(p), body, job) for p, c in each)
             if merged:

@@ -15,7 +15,7 @@ from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
-from kinefilter.pipeline.formats.export import with_frame_rate
+from kinefilter.pipeline.formats.export import timing_notes, with_frame_rate
 from kinefilter.pipeline.formats.files import as_path, numbered, part_paths
 from kinefilter.pipeline.settings import Settings, overlaid, read_settings
 
@@ -163,6 +163,9 @@ class Clean:
             cleaned = settings.clean(recordings, numbers, progress=progress)
             for number, result, merged in cleaned:
                 if not isinstance(result, InputError):
+                    suffix = self.out.suffix.lower()
+                    timing = timing_notes(settings.export, suffix, result.clips)
+                    result = replace(result, notes=(*result.notes, *timing))
                     results[number] = result, merged
                 elif number == numbers[-1] and not results:
                     raise result

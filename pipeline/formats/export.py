@@ -1,5 +1,6 @@
 """Settings for writing clips, what they do to a clip, and what all formats share."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from math import ceil, inf
 from pathlib import Path
@@ -238,6 +239,25 @@ def with_frame_rate(export: Export, suffix: str, time: Array, source: str) -> Ex
     if export.fps is not None or export.keys is not None:
         even_frames(time, export.fps or rate, source)
     return export
+
+
+def timing_notes(export: Export, suffix: str, clips: Iterable[Clip]) -> list[str]:
+    """Return a note if frames of BVH are over a frame off the clips' time stamps."""
+    late, rates = [0.0], [30.0]  # s, frames/s
+    for clip in clips if suffix == ".bvh" else ():
+        time = clip.time[span_of(export, clip.time, clip.source)]
+        if with_frame_rate(export, suffix, clip.time, clip.source).fps is None:
+            even = np.linspace(time[0], time[-1], len(time))
+            late.append(float(np.abs(time - even).max()))
+            rates.append(frames_per_second(time))
+    worst, rate = max(zip(late, rates, strict=True))
+    if worst * rate <= 1.0:
+        return []
+    return [
+        "BVH has a constant frame rate: as frames are missing or repeated, its motion "
+        f"is up to {worst:.2f} s off the take's time stamps; with --fps "
+        f"{whole_rate(rate):.4g} it keeps to them"
+    ]
 
 
 def resampled(clip: Clip, fps: float) -> Clip:

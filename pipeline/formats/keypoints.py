@@ -185,6 +185,12 @@ def frame_files(source: str) -> list[tuple[int, Path]]:
     return sorted(files.items())
 
 
+def recording_of_frame(name: str) -> str | None:
+    """Return what OpenPose's files of a recording begin with, None of others."""
+    found = _FRAME_FILE.fullmatch(name)
+    return found and found[1]
+
+
 def _openpose_body(person: Any, where: str) -> _Body | None:
     values = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
     if values == []:  # as of people whom too few cameras see, although with --3d

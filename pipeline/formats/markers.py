@@ -23,6 +23,7 @@ from kinefilter.pipeline.extras import require
 from .bvh import MOST_CELLS
 from .files import AnyPath, check_file, open_text
 from .guarded import read_guarded
+from .plain import counted
 from .recording import FASTEST, Mocap
 from .rows import LARGEST_NUMBER, RowReader
 
@@ -61,7 +62,8 @@ def read_trc(path: AnyPath) -> Mocap:
     if len(values) > most:
         raise InputError(f"{source}: too many frames of markers; split it")
     if len(values) < 2:
-        raise InputError(f"{source}: has {len(values)} frames, expected at least 2")
+        count = counted(len(values), "frame")
+        raise InputError(f"{source}: has {count}, expected at least 2")
     positions = values[:, 2:].reshape(len(values), len(names), 3)
     time = _uneven_stamps(values[:, 1], rate, source)
     return replace(mocap_of_points(names, positions, rate, source), time=time)

@@ -155,7 +155,8 @@ def check_rate(time: Array, source: str) -> None:
     if distinct > 1 and (distinct > FASTEST * seconds + 2 or step * FASTEST < 1.0):
         raise InputError(
             f"{source}: {distinct} frames in {seconds:.3g} s, typically {step:.2g} s "
-            "apart, are faster than any sensor; are the times in seconds?"
+            "apart, are faster than any sensor; check the unit of the times (seconds, "
+            "or 100 ns in rows of Kinect v2)"
         )
     if step > LONGEST_STEP:
         unit, factor = min(_UNITS.items(), key=lambda u: abs(np.log(30 * step / u[1])))

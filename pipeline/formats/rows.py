@@ -94,7 +94,9 @@ class RowReader:
                 numbers.append(float(cell or "nan"))
             except ValueError:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
-                wrong = f"is {word!r}, expected a number; {self.hint}"
+                is_time = self.columns[column] == "time"
+                hint = "correct or delete the row" if is_time else self.hint
+                wrong = f"is {word!r}, expected a number; {hint}"
                 self._fail(row, column, wrong)
         return numbers
 

@@ -167,16 +167,22 @@ def first_animated(path: str) -> tuple[Any, Any, Any, list[str], list[float]]:
     cache = UsdSkel.Cache()
     with refused(path, "cannot be read as USD; expected .usda, .usdc or .usd"):
         stage = Usd.Stage.Open(path)
+    at_rest = False
     for prim in stage.Traverse():
         if prim.IsA(UsdSkel.Root):
             cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
         if prim.IsA(UsdSkel.Skeleton):
+            at_rest = True
             query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
             if query and query.GetAnimQuery():
                 names = [str(path).rpartition("/")[2] for path in query.GetJointOrder()]
                 codes = list(query.GetAnimQuery().GetJointTransformTimeSamples())
                 return stage, prim, query, names, codes
-    raise InputError(f"{path}: has no animated skeleton; expected a UsdSkel animation")
+    hint = (
+        "give a clip that refers to it" if at_rest else "expected a UsdSkel animation"
+    )
+    only = ", only one at rest, as a file of --character has" if at_rest else ""
+    raise InputError(f"{path}: has no animated skeleton{only}; {hint}")
 
 
 def _samples(attribute: Any, codes: Sequence[float]) -> NDArray[Any]:

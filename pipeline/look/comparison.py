@@ -34,6 +34,7 @@ _LEAST_TILT = np.radians(1.5)  # a smaller tilt is an effect of cleaning
 _TRY = "give the take that the clip was made from"
 _SKEW = 1e-6  # s between time stamps of the same frames: rounding
 _DRIFT = 0.1  # s between time stamps and the constant rate of a file without them
+_MEAN = 1e-4  # relative: a frame time that another program rounded
 _FARTHEST = 1e3  # m from the origin: no sensor and no hall reaches as far
 _ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, USD in half precision
 _SAME_LENGTH = 0.2  # s by which two clips of one take may differ in length
@@ -148,7 +149,10 @@ def raw_positions(path: Path, clip: Clip, times: Array) -> Array:
         _check_skeletons(clip, take)
         clip = _with_stamps_of(take, clip)
         if clip.time is not stored:
-            times = np.interp(times, stored, clip.time)
+            stamps = clip.time
+            if len(stamps) > len(stored):  # USD kept one of repeated stamps
+                stamps = stamps[distinct_stamps(stamps)]
+            times = np.interp(times, stored, stamps)
         nearest = nearest_frames(take.time, times)
         apart = np.abs(take.time[nearest] - times)
         if np.median(apart) > _APART:
@@ -175,9 +179,9 @@ def _read_take(path: Path, clip: Clip, body: int | None = None) -> Take:
 def _with_stamps_of(take: Take, clip: Clip) -> Clip:
     """Return the clip with the time stamps of its take, if its file lost them.
 
-    USD starts at 0; BVH has a constant rate as well. A part of the take is where
-    distances between joints change alike. A clip that has its own time stamps, or does
-    not match the take's, is returned unchanged.
+    USD starts at 0; BVH has a constant rate as well, the mean of the take's. A part of
+    the take is where distances between joints change alike. A clip that has its own
+    time stamps, or does not match the take's, is returned unchanged.
     """
     if _has_states(clip):
         return clip
@@ -186,7 +190,9 @@ def _with_stamps_of(take: Take, clip: Clip) -> Clip:
         clip = clip.at(frames)
     if len(clip) == len(take):
         spread = float(np.ptp(clip.time - take.time))
-        if spread < (_SKEW if _has_provenance(clip) else _DRIFT):
+        if spread < (_SKEW if _has_provenance(clip) else _DRIFT) or (
+            _has_mean_rate(clip, take)
+        ):
             return replace(clip, time=take.time)
     begin, shorter = 0.0, np.ptp(take.time) - np.ptp(clip.time) > _SAME_LENGTH
     if len(clip) < 2 or clip.time[0] or (_has_provenance(clip) and not shorter):
@@ -210,6 +216,13 @@ def _has_states(clip: Clip) -> bool:  # USD files have none
     return _has_provenance(clip) and bool((clip.state != State.TRACKED).any())
 
 
+def _has_mean_rate(clip: Clip, take: Take) -> bool:  # BVH: frames one by one
+    lasts, steps = np.ptp(take.time), np.diff(clip.time)
+    same = abs(np.ptp(clip.time) - lasts) <= _MEAN * lasts
+    even = len(steps) > 0 and np.ptp(steps) < _SKEW
+    return bool(clip.time[0] == 0.0 and even and same)
+
+
 def _has_leveling(clip: Clip) -> bool:
     return bool(np.isfinite([clip.tilt, clip.floor]).all())
 
@@ -224,7 +237,14 @@ def _check(clip: Clip, take: Take) -> None:
     _check_skeletons(clip, take)
     if len(clip) != len(take):
         counts = f"the clip has {len(clip)} frames, the take {len(take)}"
-        raise InputError(f"{counts}; {_TRY} (and without --fps, --begin or --end)")
+        hint = "and without --fps, --begin or --end"
+        if gaps := describe_gaps(long_gaps(take.time), take.time[0]):
+            hint += (
+                f"; the take has {gaps[0]}: there BVH gets frames of its own, and "
+                "--gaps split writes parts, so clean it with --gaps hold to .npz, "
+                ".usdc or .glb"
+            )
+        raise InputError(f"{counts}; {_TRY} ({hint})")
     if len(clip) < 2 or clip.time[-1] <= clip.time[0]:
         raise InputError("a motion needs at least two frames at different times")
     if not same_stamps(clip, take):

@@ -177,7 +177,8 @@ class Evaluate:
 
         if not self.pairs:
             raise InputError(
-                "--hide needs pairs files, as in evaluate PAIRS --hide left-arm"
+                "--hide needs pairs files; put them first, as in evaluate PAIRS --hide "
+                "left-arm, or what follows --hide is taken for limbs"
             )
         options = hidden_limbs.HiddenLimbs(
             tuple(_listed(",".join(self.hide))),
