@@ -190,6 +190,7 @@ def pin(draft: Draft, pins: Sequence[Edit], before: Unedited) -> None:
             )
     # Afterwards, legs of the right length move everything above them as one.
     legs = [k for hip in skeleton.hips for k in skeleton.descendants(int(hip))]
+    arms = [k for s in skeleton.sides("Elbow") for k in (s, *skeleton.descendants(s))]
     later = np.delete(before.done.posed - before.planted.positions, legs, axis=1)
     lift = np.median(later, axis=1)
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
@@ -200,7 +201,7 @@ def pin(draft: Draft, pins: Sequence[Edit], before: Unedited) -> None:
         places = {int(p.frames(since).argmax()): p.position for p in own}
         frames = list(places)
         away = np.array(list(places.values())) - positions[frames, j]
-        if j not in legs:
+        if j in arms:
             away -= lift[frames]
         curve = _curve(since[frames], np.column_stack([away, np.ones(len(away))]))
         moves, firm = np.split(curve(np.clip(since, *curve.x[[0, -1]])), [3], axis=1)

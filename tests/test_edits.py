@@ -180,7 +180,7 @@ def test_a_pinned_joint_is_where_it_is_pinned_and_its_neighbors_follow(
     ]
     found = Cleaner().clean(take, edits=pins, before=unedited)
     for k, place in zip((frame, frame + 8), places, strict=True):
-        assert np.linalg.norm(found.clip.positions[k, j] - place) < 0.016
+        assert np.linalg.norm(found.clip.positions[k, j] - place) < 0.015
     assert found.notes[: len(pins)] == tuple(map(str, pins))
     moved = apart(found, before)
     assert moved[np.abs(since - since[frame]) > 0.5 + 8 / 30 + 0.02].max() < 1e-9
