@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -126,6 +129,14 @@ def test_wrong_frames_are_refused() -> None:
         avatar.step(BODY.rest_positions, 1.0)
     with pytest.raises(InputError, match="no joint"):
         avatar.push("Tail", [1.0, 0.0, 0.0], 0.1)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_copies_are_refused(copied: Callable[[object], object]) -> None:
+    avatar = Avatar(BODY)
+    for one in (avatar, avatar.physics, avatar.physics.world):
+        with pytest.raises(TypeError, match="cannot be copied"):
+            copied(one)
 
 
 def test_the_character_command_writes_what_plain_mujoco_loads(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import mujoco
 import numpy as np
@@ -76,6 +76,16 @@ class World:
             # The engine's own handler writes a log file into the working directory;
             # the trace reports diverging steps anyway.
             mujoco.set_mju_user_warning(lambda _: None)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse copies and pickles, whose views of the engine's memory lead nowhere.
+
+        Characters and avatars refer to their world, so that this holds for them, too.
+        """
+        raise TypeError(
+            "a simulated world, and whatever is in it, cannot be copied or pickled; "
+            "make another one, such as a new Avatar"
+        )
 
     def add(self, character: Any, places: slice, speeds: slice) -> int:
         """Add the character of the next body; return its number, from 0.
