@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -99,6 +101,27 @@ def test_a_push_goes_on_when_somebody_else_leaves() -> None:
     alone, beside = moved(company=False), moved(company=True)
     assert np.abs(alone).max() > 0.05
     np.testing.assert_allclose(beside, alone, atol=1e-3)
+
+
+def test_worlds_that_people_left_are_freed_without_garbage_collection() -> None:
+    scene, old = SharedScene("box", TRACKINGS["game"]), []
+    stays, goes = Avatar(BODY, scene), Avatar(BODY, scene)
+    gc.collect()
+    gc.disable()
+    try:
+        for row in range(4):
+            stays.step(BODY.rest_positions, row / 30.0)
+            if row == 2:
+                goes.leave()
+            elif row < 2:
+                goes.step(BODY.rest_positions - np.array([3.0, 0, 0]), row / 30.0)
+            scene.advance()
+            old.append(ref(scene.world))
+        alive = {id(world()) for world in old if world() is not None}
+    finally:
+        gc.enable()
+    assert old[0]() is not scene.world
+    assert alive == {id(scene.world)}
 
 
 def test_two_people_in_one_place_push_each_other_apart() -> None:
