@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from test_holding import BODY, PARCEL, reaching
 from websockets.asyncio.client import ClientConnection
 
-from kinefilter import Avatar
+from kinefilter import Avatar, SharedScene
 from kinefilter.characters import KINECT_V1, TRACKINGS, InputError, standard_body
 from kinefilter.pipeline.live.crowd import Person
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.physics import playable
-from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 Array = NDArray[np.float64]
 TALL = standard_body(KINECT_V1, height=1.8)
@@ -79,6 +78,35 @@ def test_what_is_held_and_who_fell_stay_so_when_somebody_comes(tmp_path: Path) -
             next(p for p in scene.props if p.name == "parcel").positions[0, 1]
         )
     assert min(heights[98:]) > 1.2
+
+
+def test_what_a_scene_is_told_wrongly_is_refused() -> None:
+    with pytest.raises(InputError, match="tracking"):
+        SharedScene("box", "hard")  # type: ignore[arg-type]
+    scene, ahead, nan = SharedScene("box", "game"), [0.0, 0.0, 1.0], [np.nan, 0, 0]
+    for early in (
+        lambda: scene.throw(ahead, ahead),
+        lambda: scene.hit_by(ahead, ahead),
+        lambda: scene.props,
+        lambda: scene.shove(0, ahead),
+    ):
+        with pytest.raises(InputError, match="in the scene"):
+            early()
+    Avatar(BODY, scene).step(BODY.rest_positions, 0.0)
+    for wrong, words in (
+        (lambda: scene.throw(nan, ahead), "place of a throw"),
+        (lambda: scene.throw(ahead, [1.0, 0.0]), r"expected \(3,\)"),
+        (lambda: scene.hit_by(ahead, [0.0, 0.0, 0.0]), "ray is zero"),
+        (lambda: scene.shove(0, [0.0, 0.0, 0.0]), "shove is zero"),
+        (lambda: scene.shove(0, ahead, 1), "no character 1"),
+        (lambda: scene.shove(99, ahead), "joint 99"),
+        (lambda: scene.place("box", nan, [1, 0, 0, 0]), "position of a prop"),
+        (lambda: scene.place("box", ahead, [1, 0, 0]), r"expected \(4,\)"),
+        (lambda: scene.place("box", ahead, [0, 0, 0, 0]), "rotation of a prop"),
+    ):
+        with pytest.raises(InputError, match=words):
+            wrong()
+    assert scene.place("box", ahead, [1, 0, 0, 0])
 
 
 def test_a_push_goes_on_when_somebody_else_leaves() -> None:

@@ -200,7 +200,8 @@ class Session:
             if done := scene.has_world:
                 scene.throw(*command)
         elif scene is not None and isinstance(command, Place):
-            done = scene.place(*command)
+            with suppress(InputError):  # a rotation of zero
+                done = scene.place(*command)
         if not done:
             names = ", ".join(shown(value) for value in command if type(value) is str)
             note = f"a {type(command).__name__.lower()} names {names}"
