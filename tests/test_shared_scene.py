@@ -19,6 +19,7 @@ from websockets.asyncio.client import ClientConnection
 
 from kinefilter import Avatar, SharedScene
 from kinefilter.characters import KINECT_V1, TRACKINGS, InputError, standard_body
+from kinefilter.pipeline.live import crowd
 from kinefilter.pipeline.live.crowd import Person
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
@@ -107,6 +108,7 @@ def test_what_a_scene_is_told_wrongly_is_refused() -> None:
         with pytest.raises(InputError, match=words):
             wrong()
     assert scene.place("box", ahead, [1, 0, 0, 0])
+    scene.throw(ahead, ahead)
 
 
 def test_a_push_goes_on_when_somebody_else_leaves() -> None:
@@ -252,6 +254,22 @@ def test_readers_get_props_and_contacts_and_send_pushes_and_things() -> None:
                 await poses(10)
                 hit = await _line(stream, "props")
                 assert any(name.startswith("thrown") for name in hit["props"])
+
+    do(session())
+
+
+def test_the_scene_is_described_again_when_somebody_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def session() -> None:
+        async with running(config(scene="box")) as (_, (source, out)):
+            sender = Sender(source)
+            async with reading(out) as stream:
+                sender.send(_two(0))
+                await _line(stream, "scene")
+                monkeypatch.setattr(crowd, "_GONE", 0.0)
+                assert await _line(stream, "gone") == {"body": "1", "gone": True}
+                assert (await _line(stream, "scene"))["props"]
 
     do(session())
 
