@@ -131,6 +131,11 @@ def test_wrong_frames_are_refused() -> None:
         avatar.push("Tail", [1.0, 0.0, 0.0], 0.1)
 
 
+def test_a_body_and_a_measured_one_of_other_joints_are_refused() -> None:
+    with pytest.raises(InputError, match=r"kinect_v1.*kinect_v2; give two"):
+        Avatar(BODY, measured=standard_body(KINECT_V2))
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
 def test_copies_are_refused(copied: Callable[[object], object]) -> None:
     avatar = Avatar(BODY)
