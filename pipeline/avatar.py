@@ -90,7 +90,7 @@ class Avatar:
         self.start()
 
     def start(self) -> None:
-        """Reset: the character appears where the next frame is."""
+        """Reset: the character appears where the next frame is, and is not let go."""
         self.cleaner.start(self.body, self.measured)
         self._found: Draft | None = None
         self._farthest = 0.0  # from the sensor, so far [m]

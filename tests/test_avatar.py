@@ -13,12 +13,13 @@ import pytest
 from known_motions import standing
 from numpy.typing import NDArray
 
-from kinefilter import Avatar, Pose, read_take
+from kinefilter import Avatar, Pose, SharedScene, read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
     InputError,
     Tracking,
+    TrackingName,
     standard_body,
 )
 from kinefilter.pipeline.cli import main
@@ -93,6 +94,25 @@ def test_let_go_it_falls_and_held_again_it_stands_up() -> None:
     avatar.take_hold()
     up = [avatar.step(f, 5.0 + k / 30.0) for k, f in enumerate(frames[:60])][-1]
     assert up.positions[head, 1] > 0.95 * BODY.rest_positions[head, 1]
+
+
+@pytest.mark.parametrize(
+    ("scene", "tracking", "limp"),
+    [
+        ("basic", "faithful", False),
+        ("basic", "ragdoll", True),
+        (SharedScene("basic", "game"), None, False),
+    ],
+)
+def test_started_again_it_is_no_longer_let_go(
+    scene: str | SharedScene, tracking: TrackingName | None, limp: bool
+) -> None:
+    avatar = Avatar(BODY, scene, tracking=tracking)
+    follow(avatar, standing(2))
+    avatar.let_go()
+    avatar.start()
+    follow(avatar, standing(2))
+    assert avatar.physics.limp is limp
 
 
 def test_nothing_seen_at_first_or_for_seconds_leaves_a_finite_pose() -> None:

@@ -18,6 +18,7 @@ from kinefilter.characters import (
 )
 from kinefilter.characters.arrays import Array, Flags, as_numbers, check_choice
 from kinefilter.characters.humanoid import from_mujoco, to_mujoco
+from kinefilter.characters.tracking import RagdollTracking
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.floor import find_placement
@@ -58,6 +59,7 @@ class SharedPhysics(Stage):
         self.body, self.appears = body, True
         self.ahead = 0.0  # time of the last frame after that of the scene [s]
         self.waiting: Draft | None = None  # the last frame, until the scene advances
+        self._scene.take_hold(self)
 
     def step(self, draft: Draft) -> None:
         """Set the target; raises InputError if it is not finite, or as ``World``."""
@@ -126,6 +128,14 @@ class SharedScene(Playable):
         """Take a person out of the scene, if they are in it."""
         if person in self.people:
             self._go_on_with([other for other in self.people if other is not person])
+
+    def take_hold(self, person: SharedPhysics) -> None:
+        """Pull a person who was let go again; those who fell get up by themselves."""
+        if person in self.people:
+            gives = person.character.compliance
+            if gives is None or not gives.fallen:
+                hangs = isinstance(self._tracking, RagdollTracking)
+                person.character.limp = hangs
 
     def _go_on_with(self, people: list[SharedPhysics]) -> None:
         """Make a world with these people, in which everything goes on as before."""
