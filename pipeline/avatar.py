@@ -109,7 +109,8 @@ class Avatar:
         """
         self._found = self.cleaner.step(positions, time, state)
         far = np.abs(np.asarray(positions, dtype=float))
-        self._farthest = float(np.nanmax(far, initial=self._farthest))
+        far = far[np.isfinite(far)]
+        self._farthest = float(np.max(far, initial=self._farthest))
         return self.pose
 
     @property

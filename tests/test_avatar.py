@@ -140,6 +140,13 @@ def test_a_performer_in_millimeters_is_told() -> None:
         assert ("meters" in " ".join(avatar.notes)) is noted
 
 
+def test_a_joint_at_infinity_says_nothing_about_units() -> None:
+    avatar, frames = Avatar(BODY), standing(5)
+    frames[2, 0] = np.inf
+    follow(avatar, frames)
+    assert avatar.notes == ()
+
+
 def test_wrong_frames_are_refused() -> None:
     avatar = Avatar(BODY)
     with pytest.raises(InputError, match=r"expected \(20, 3\)"):
