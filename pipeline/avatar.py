@@ -90,7 +90,7 @@ class Avatar:
         self.start()
 
     def start(self) -> None:
-        """Reset: the character appears where the next frame is."""
+        """Reset: the character appears where the next frame is, and is not let go."""
         self.cleaner.start(self.body, self.measured)
         self._found: Draft | None = None
         self._farthest = 0.0  # from the sensor, so far [m]
@@ -109,7 +109,8 @@ class Avatar:
         """
         self._found = self.cleaner.step(positions, time, state)
         far = np.abs(np.asarray(positions, dtype=float))
-        self._farthest = float(np.nanmax(far, initial=self._farthest))
+        far = far[np.isfinite(far)]
+        self._farthest = float(np.max(far, initial=self._farthest))
         return self.pose
 
     @property

@@ -155,6 +155,11 @@ class Cleaner:
         """
         check_kind(body, Body, "the body")
         check_kind(measured, Body | None, "the measured body")
+        if measured is not None and measured.skeleton != body.skeleton:
+            raise InputError(
+                f"the body has the joints of {body.skeleton.name}, and the measured "
+                f"body those of {measured.skeleton.name}; give two of one skeleton"
+            )
         self._bodies, self._time = [], None
         shown = measured or body
         for stage in self.stages:

@@ -33,6 +33,7 @@ _CARRYING = -0.3
 far from the shoulders as the head. A guess."""
 _LEANING = np.radians(30.0)  # of all frames, whatever people do; at most 25 in clips
 _BACKWARDS = -0.25  # median cosine between toes and front; 0.26 or more in these clips
+_NEAREST = 0.5  # m: no sensor sees people who are nearer
 _MIRRORED = (
     "toes point backwards in most frames: left and right are swapped, or an axis "
     "points the wrong way; if y points down, negate it"
@@ -185,12 +186,19 @@ def posture_of(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags, Arra
 
 
 def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
-    """Return True if toes point backwards, judging by left and right."""
+    """Return True if toes point backwards, judging by left and right.
+
+    Trackers take people whom they see from behind for facing the sensor, and swap their
+    sides. Their toes point away from it, and do not count.
+    """
     pairs = [skeleton.sides(part) for part in ("Hip", "Shoulder", "Ankle", "Foot")]
     left, right = (positions[:, joints] for joints in np.transpose(pairs))
     up = positions[:, skeleton.girdle] - positions[:, skeleton.root]
     front = np.cross((left - right)[:, :2].sum(axis=1), up)
     toes = (left + right)[:, 3] - (left + right)[:, 2]
     cosines = np.sum(unit(front) * unit(toes), axis=1)
-    known = cosines[~np.isnan(cosines)]
-    return bool(len(known) and np.median(known) < _BACKWARDS)
+    place = positions[:, skeleton.root, ::2]
+    behind = np.sum(unit(place) * toes[:, ::2], axis=1) > 0.0
+    behind &= np.linalg.norm(place, axis=1) > _NEAREST
+    backwards = (cosines < _BACKWARDS) & ~behind
+    return bool(2 * backwards.sum() > np.sum(~np.isnan(cosines)))

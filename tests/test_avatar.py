@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -10,12 +13,13 @@ import pytest
 from known_motions import standing
 from numpy.typing import NDArray
 
-from kinefilter import Avatar, Pose, read_take
+from kinefilter import Avatar, Pose, SharedScene, read_take
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
     InputError,
     Tracking,
+    TrackingName,
     standard_body,
 )
 from kinefilter.pipeline.cli import main
@@ -92,6 +96,25 @@ def test_let_go_it_falls_and_held_again_it_stands_up() -> None:
     assert up.positions[head, 1] > 0.95 * BODY.rest_positions[head, 1]
 
 
+@pytest.mark.parametrize(
+    ("scene", "tracking", "limp"),
+    [
+        ("basic", "faithful", False),
+        ("basic", "ragdoll", True),
+        (SharedScene("basic", "game"), None, False),
+    ],
+)
+def test_started_again_it_is_no_longer_let_go(
+    scene: str | SharedScene, tracking: TrackingName | None, limp: bool
+) -> None:
+    avatar = Avatar(BODY, scene, tracking=tracking)
+    follow(avatar, standing(2))
+    avatar.let_go()
+    avatar.start()
+    follow(avatar, standing(2))
+    assert avatar.physics.limp is limp
+
+
 def test_nothing_seen_at_first_or_for_seconds_leaves_a_finite_pose() -> None:
     frames = standing(60)
     frames[:5] = np.nan
@@ -117,6 +140,13 @@ def test_a_performer_in_millimeters_is_told() -> None:
         assert ("meters" in " ".join(avatar.notes)) is noted
 
 
+def test_a_joint_at_infinity_says_nothing_about_units() -> None:
+    avatar, frames = Avatar(BODY), standing(5)
+    frames[2, 0] = np.inf
+    follow(avatar, frames)
+    assert avatar.notes == ()
+
+
 def test_wrong_frames_are_refused() -> None:
     avatar = Avatar(BODY)
     with pytest.raises(InputError, match=r"expected \(20, 3\)"):
@@ -126,6 +156,19 @@ def test_wrong_frames_are_refused() -> None:
         avatar.step(BODY.rest_positions, 1.0)
     with pytest.raises(InputError, match="no joint"):
         avatar.push("Tail", [1.0, 0.0, 0.0], 0.1)
+
+
+def test_a_body_and_a_measured_one_of_other_joints_are_refused() -> None:
+    with pytest.raises(InputError, match=r"kinect_v1.*kinect_v2; give two"):
+        Avatar(BODY, measured=standard_body(KINECT_V2))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_copies_are_refused(copied: Callable[[object], object]) -> None:
+    avatar = Avatar(BODY)
+    for one in (avatar, avatar.physics, avatar.physics.world):
+        with pytest.raises(TypeError, match="cannot be copied"):
+            copied(one)
 
 
 def test_the_character_command_writes_what_plain_mujoco_loads(tmp_path: Path) -> None:

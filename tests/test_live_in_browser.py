@@ -17,7 +17,14 @@ import pytest
 from browser import Browser
 from live_session import SAMPLE, WS, Sender, config, do, running, sample_frame
 
-from kinefilter.characters import KINECT_V1, Clip, Motion, standard_body
+from kinefilter.characters import (
+    KINECT_V1,
+    KINECT_V2,
+    Clip,
+    Motion,
+    Skeleton,
+    standard_body,
+)
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.live.live_config import AccessConfig
 from kinefilter.pipeline.live.tally import Event
@@ -41,6 +48,8 @@ const clientX = innerWidth * (1 + at.x) / 2, clientY = innerHeight * (1 - at.y) 
 const click = new MouseEvent("click", { clientX, clientY });
 document.querySelector("canvas").dispatchEvent(click);
 """
+_SAID = "return document.querySelector('p')?.textContent"
+_NEEDS_THREE = pytest.mark.skipif(not _THREE, reason="no three.js in KINEFILTER_THREE")
 _TOKEN = "0123456789abcdef"
 _THREE_LINES = """
 return new Promise(done => {
@@ -109,20 +118,43 @@ def test_a_page_of_this_machine_draws_poses_and_a_file_from_anywhere_does_not(
     asyncio.run(session())
 
 
-@pytest.mark.skipif(not _THREE, reason="no three.js in KINEFILTER_THREE")
+def _put_example(folder: Path, skeleton: Skeleton) -> None:
+    """Put the example page into a folder, with three.js and a GLB of a skeleton."""
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (2, len(skeleton), 1))
+    body, root = standard_body(skeleton, height=1.8), np.zeros((2, 3))
+    still = Motion(time=np.array([0.0, 1.0]), body=body, root=root, rotations=turns)
+    write_clip(Clip.of(still), folder / "avatar.glb")
+    example = files("kinefilter.scenes") / "examples" / "avatar.html"
+    (folder / "avatar.html").write_bytes(example.read_bytes())
+    (folder / "node_modules").symlink_to(Path(_THREE) / "node_modules")
+
+
+@_NEEDS_THREE
+def test_the_example_page_says_that_the_skin_has_other_joints(
+    browser: Browser, page: tuple[Path, str], tmp_path: Path
+) -> None:
+    _put_example(tmp_path, KINECT_V2)
+    served = page[1].replace("page.html", "avatar.html")
+
+    async def session() -> None:
+        async with running(config(WS)) as (_, (source, out)):
+            sender, said, sent = Sender(source), "", 0
+            await asyncio.to_thread(browser.open, f"{served}?poses={out}")
+            while not said:
+                sender.send(sample_frame(sent % 290, time=sent / 30.0))
+                sent += 1
+                said = await asyncio.to_thread(browser.run, _SAID)
+            assert "joints of kinect_v1" in said
+            assert "--skeleton" in said
+
+    do(session())
+
+
+@_NEEDS_THREE
 def test_the_example_page_draws_people_where_they_are_and_pushes_them(
     browser: Browser, page: tuple[Path, str], tmp_path: Path
 ) -> None:
-    body = standard_body(KINECT_V1, height=1.8)
-    turns, root = (
-        np.tile([1.0, 0.0, 0.0, 0.0], (2, len(KINECT_V1), 1)),
-        np.zeros((2, 3)),
-    )
-    still = Motion(time=np.array([0.0, 1.0]), body=body, root=root, rotations=turns)
-    write_clip(Clip.of(still), tmp_path / "avatar.glb")
-    example = files("kinefilter.scenes") / "examples" / "avatar.html"
-    (tmp_path / "avatar.html").write_bytes(example.read_bytes())
-    (tmp_path / "node_modules").symlink_to(Path(_THREE) / "node_modules")
+    _put_example(tmp_path, KINECT_V1)
     chest, served = KINECT_V1.girdle, page[1].replace("page.html", "avatar.html")
 
     async def session() -> None:

@@ -140,6 +140,15 @@ def test_joints_of_another_skeleton_are_told(joints: object, note: str) -> None:
     assert caught.value.note == note
 
 
+@pytest.mark.parametrize(
+    ("time", "told"), [(1.7e12, "is 1.7e+12: send times in seconds"), ("1", "a number")]
+)
+def test_stamps_that_are_no_seconds_are_told(time: object, told: str) -> None:
+    with pytest.raises(MalformedError) as caught:
+        parse_message(_line(time=time), KINECT_V1)
+    assert told in caught.value.note
+
+
 def test_what_a_command_has_is_told() -> None:
     for message, note in (
         ({"push": {"part": "Head"}}, "a push has body, joint, force, seconds"),

@@ -38,7 +38,7 @@ from kinefilter.pipeline.live.endpoints import (
 )
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Reason, format_frame, skeleton_line
-from kinefilter.pipeline.live.sinks import Broadcast
+from kinefilter.pipeline.live.sinks import Broadcast, Kind
 from kinefilter.pipeline.live.sources import Intake, Receiver
 from kinefilter.pipeline.live.tally import Event, Tally
 
@@ -236,13 +236,50 @@ def test_who_never_reads_loses_lines_is_let_go_and_costs_others_nothing(
                 await asyncio.get_running_loop().sock_recv(lazy, 1)  # it is there
                 for n in itertools.count():
                     line = json.dumps([n, "x" * 50_000])
-                    lines.put(line)
+                    lines.put(line, Kind.POSE)
                     assert await stream.recv() == line
                     most = max(most, *(waiting.qsize() for waiting in lines.readers))
                     if len(lines.readers) == 1:
                         break
         assert tally.events[Event.SLOW] > 0
         assert most <= 32
+
+    do(session())
+
+
+def test_slow_readers_lose_only_poses() -> None:
+    async def session() -> None:
+        tally, scene, read = Tally(), "no props", list[str]()
+        intake = Intake(print, asyncio.Event().wait, print, tally)
+        lines, gate = Broadcast(lambda: ["joints", scene], intake), asyncio.Event()
+
+        async def write(line: str) -> None:
+            await gate.wait()
+            read.append(line)
+
+        reader = asyncio.ensure_future(lines.serve(write))
+        await asyncio.sleep(0)
+        lines.put("1 is gone", Kind.OTHER)
+        for n in range(100):
+            lines.put(f"pose {n}", Kind.POSE)
+            lines.put(scene := f"props {n}")
+        lines.put("2 is gone", Kind.OTHER)
+        gate.set()
+        while not read or read[-1] != "2 is gone":
+            await asyncio.sleep(0)
+        assert len(read) <= 33
+        assert read[:2] == ["joints", "1 is gone"]
+        assert scene in read
+        assert not any(line.startswith("pose 0") for line in read)
+        lost = 100 - sum(line.startswith("pose") for line in read)
+        assert tally.events[Event.SLOW] == lost > 0
+
+        gate.clear()
+        for n in range(40):
+            lines.put(f"{n} is gone", Kind.OTHER)
+        assert not lines.readers
+        gate.set()
+        await reader
 
     do(session())
 

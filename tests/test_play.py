@@ -215,6 +215,8 @@ def test_two_begin_beside_each_other_share_the_scene_and_are_recorded(
     hit = ground.hit_by(here + 2.0 * FORWARD, -FORWARD)
     assert hit is not None
     assert hit[0] == 0
+    ground.restart()
+    assert [c.limp for c in ground.characters] == [False, False]
 
 
 def test_who_stands_too_near_is_pushed(motion: Clip) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -15,14 +17,14 @@ from numpy.typing import NDArray
 from test_holding import BODY, PARCEL, reaching
 from websockets.asyncio.client import ClientConnection
 
-from kinefilter import Avatar
+from kinefilter import Avatar, SharedScene
 from kinefilter.characters import KINECT_V1, TRACKINGS, InputError, standard_body
+from kinefilter.pipeline.live import crowd
 from kinefilter.pipeline.live.crowd import Person
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
 from kinefilter.pipeline.live.tally import Event
 from kinefilter.pipeline.physics import playable
-from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 Array = NDArray[np.float64]
 TALL = standard_body(KINECT_V1, height=1.8)
@@ -79,6 +81,36 @@ def test_what_is_held_and_who_fell_stay_so_when_somebody_comes(tmp_path: Path) -
     assert min(heights[98:]) > 1.2
 
 
+def test_what_a_scene_is_told_wrongly_is_refused() -> None:
+    with pytest.raises(InputError, match="tracking"):
+        SharedScene("box", "hard")  # type: ignore[arg-type]
+    scene, ahead, nan = SharedScene("box", "game"), [0.0, 0.0, 1.0], [np.nan, 0, 0]
+    for early in (
+        lambda: scene.throw(ahead, ahead),
+        lambda: scene.hit_by(ahead, ahead),
+        lambda: scene.props,
+        lambda: scene.shove(0, ahead),
+    ):
+        with pytest.raises(InputError, match="in the scene"):
+            early()
+    Avatar(BODY, scene).step(BODY.rest_positions, 0.0)
+    for wrong, words in (
+        (lambda: scene.throw(nan, ahead), "place of a throw"),
+        (lambda: scene.throw(ahead, [1.0, 0.0]), r"expected \(3,\)"),
+        (lambda: scene.hit_by(ahead, [0.0, 0.0, 0.0]), "ray is zero"),
+        (lambda: scene.shove(0, [0.0, 0.0, 0.0]), "shove is zero"),
+        (lambda: scene.shove(0, ahead, 1), "no character 1"),
+        (lambda: scene.shove(99, ahead), "joint 99"),
+        (lambda: scene.place("box", nan, [1, 0, 0, 0]), "position of a prop"),
+        (lambda: scene.place("box", ahead, [1, 0, 0]), r"expected \(4,\)"),
+        (lambda: scene.place("box", ahead, [0, 0, 0, 0]), "rotation of a prop"),
+    ):
+        with pytest.raises(InputError, match=words):
+            wrong()
+    assert scene.place("box", ahead, [1, 0, 0, 0])
+    scene.throw(ahead, ahead)
+
+
 def test_a_push_goes_on_when_somebody_else_leaves() -> None:
     def moved(*, company: bool) -> Array:
         scene = SharedScene("basic", TRACKINGS["game"])
@@ -99,6 +131,27 @@ def test_a_push_goes_on_when_somebody_else_leaves() -> None:
     alone, beside = moved(company=False), moved(company=True)
     assert np.abs(alone).max() > 0.05
     np.testing.assert_allclose(beside, alone, atol=1e-3)
+
+
+def test_worlds_that_people_left_are_freed_without_garbage_collection() -> None:
+    scene, old = SharedScene("box", TRACKINGS["game"]), []
+    stays, goes = Avatar(BODY, scene), Avatar(BODY, scene)
+    gc.collect()
+    gc.disable()
+    try:
+        for row in range(4):
+            stays.step(BODY.rest_positions, row / 30.0)
+            if row == 2:
+                goes.leave()
+            elif row < 2:
+                goes.step(BODY.rest_positions - np.array([3.0, 0, 0]), row / 30.0)
+            scene.advance()
+            old.append(ref(scene.world))
+        alive = {id(world()) for world in old if world() is not None}
+    finally:
+        gc.enable()
+    assert old[0]() is not scene.world
+    assert alive == {id(scene.world)}
 
 
 def test_two_people_in_one_place_push_each_other_apart() -> None:
@@ -201,6 +254,22 @@ def test_readers_get_props_and_contacts_and_send_pushes_and_things() -> None:
                 await poses(10)
                 hit = await _line(stream, "props")
                 assert any(name.startswith("thrown") for name in hit["props"])
+
+    do(session())
+
+
+def test_the_scene_is_described_again_when_somebody_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def session() -> None:
+        async with running(config(scene="box")) as (_, (source, out)):
+            sender = Sender(source)
+            async with reading(out) as stream:
+                sender.send(_two(0))
+                await _line(stream, "scene")
+                monkeypatch.setattr(crowd, "_GONE", 0.0)
+                assert await _line(stream, "gone") == {"body": "1", "gone": True}
+                assert (await _line(stream, "scene"))["props"]
 
     do(session())
 

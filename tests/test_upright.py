@@ -204,6 +204,18 @@ def test_an_avatar_tells_how_the_sensor_was_turned() -> None:
         assert [words in note for note in avatar.notes] == [True] * bool(words)
 
 
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_toes_of_who_is_seen_from_behind_do_not_point_backwards(mirrored: bool) -> None:
+    take = seen("stand_idle")
+    # Seen from behind, they turn around, but the tracker swaps their sides.
+    behind = take.positions * [1.0, 1.0, -1.0] + [0.0, 0.0, 5.0]
+    positions = take.positions * [-1.0, 1.0, 1.0] if mirrored else behind
+    avatar = Avatar(BODY)
+    for frame, time in zip(positions[:70], take.time, strict=False):
+        avatar.step(frame, time)
+    assert ["toes" in note for note in avatar.notes] == [True] * mirrored
+
+
 def test_who_no_longer_stands_before_a_tilted_sensor_stays_turned() -> None:
     stands, squats = standing("down"), standing("front")
     positions = np.concatenate([stands.positions, squats.positions])

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinefilter.pipeline.lab.evaluate import evaluate
     from kinefilter.pipeline.merge import clean_session, merge
     from kinefilter.pipeline.pairs import read_pairs
+    from kinefilter.pipeline.physics.shared_scene import SharedScene
 
 _PLACES = {
     "characters": ("Clip", "InputError", "Motion", "Take"),
@@ -36,6 +37,7 @@ _PLACES = {
     "pipeline.lab.evaluate": ("evaluate",),
     "pipeline.merge": ("clean_session", "merge"),
     "pipeline.pairs": ("read_pairs",),
+    "pipeline.physics.shared_scene": ("SharedScene",),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
@@ -50,6 +52,7 @@ __all__ = [
     "Motion",
     "Pose",
     "PostureDatabase",
+    "SharedScene",
     "Take",
     "__version__",
     "clean",

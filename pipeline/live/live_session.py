@@ -85,6 +85,7 @@ class Session:
             raise InputError(f"--bodies {config.bodies}: expected 1 to {most}")
         self._config, self._skeleton = config, skeleton_named(config.skeleton)
         self.scene = self._new_scene()
+        self._told_of = self.scene and self.scene.people
         self.crowd = Crowd(config.bodies, self.tally)
         count = len(self.endpoints.sources)
         self.sensors: Sensors | None = None
@@ -200,7 +201,8 @@ class Session:
             if done := scene.has_world:
                 scene.throw(*command)
         elif scene is not None and isinstance(command, Place):
-            done = scene.place(*command)
+            with suppress(InputError):  # a rotation of zero
+                done = scene.place(*command)
         if not done:
             names = ", ".join(shown(value) for value in command if type(value) is str)
             note = f"a {type(command).__name__.lower()} names {names}"
@@ -270,7 +272,6 @@ class Session:
             quiet = 0 if self._came.is_set() else quiet + 1
 
     def _pose(self, *turns: tuple[Presence, PendingFrame]) -> None:
-        people = self.scene and self.scene.people
         posed = [turn for turn in turns if self._follow(*turn)]
         if self.scene is not None:
             try:
@@ -278,9 +279,8 @@ class Session:
             except (InputError, ArithmeticError, ValueError):
                 for presence, _ in posed:
                     self._start_over(presence)
-                return
-            if self.scene.people is not people:
-                self._tell(self._scene_line())
+                posed = []
+            self._tell_who_is_there()
         for presence, frame in posed:
             self._send(presence, frame)
         if posed and self.scene is not None and (moved := self.scene.moved()):
@@ -336,6 +336,12 @@ class Session:
         assert self.scene is not None
         return scene_line(str(self.scene.scene), self.scene.props)
 
+    def _tell_who_is_there(self) -> None:
+        """Describe the scene if anybody has joined or left it since the last time."""
+        if self.scene is not None and self.scene.people is not self._told_of:
+            self._told_of = self.scene.people
+            self._tell(self._scene_line())
+
     def _tell(self, line: str) -> None:
         for sink in self._sinks:
             sink.put(line)
@@ -350,6 +356,7 @@ class Session:
                     gone.person.leave()
                 for sink in self._sinks:
                     sink.gone(gone)
+            self._tell_who_is_there()
 
     async def _record(self) -> None:
         while True:

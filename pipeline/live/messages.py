@@ -177,7 +177,9 @@ def _parse_frame(data: dict[str, Any], skeleton: Skeleton) -> Frame:
         raise MalformedError(Reason.NOT_A_FRAME)
     time = data["time"]
     if type(time) is not float or not abs(time) < LATEST_TIME_STAMP:
-        raise MalformedError(Reason.TIME)
+        told = f"{time:g}" if type(time) is float else "not a number"
+        note = f"the time stamp of a frame is {told}: send times in seconds"
+        raise MalformedError(Reason.TIME, note)
     if len(data["bodies"]) > _MOST_BODIES:
         raise MalformedError(Reason.BODIES)
     bodies = tuple(_parse_body(body, skeleton) for body in data["bodies"])

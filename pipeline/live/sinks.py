@@ -6,6 +6,7 @@ import asyncio
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from .background import meanwhile, write_stdout
@@ -107,8 +108,24 @@ class Engine:
             self._tally.events[Event.UNSENT] += 1
 
 
+class Kind(Enum):
+    """What a line is about, which decides whether a slow reader may lose it."""
+
+    POSE = auto()  # may be lost: another one follows
+    SCENE = auto()  # the scene or its props: a new description of the scene replaces it
+    OTHER = auto()  # comes once, such as that a person has left
+
+
+_Lines = asyncio.Queue[tuple[Kind, str] | None]  # None ends a reader
+
+
 class Broadcast:
-    """Sends lines to all readers; slow readers lose the oldest, which are counted."""
+    """Sends lines to all readers; slow readers lose the oldest poses, as counted.
+
+    Lines about the scene that a reader has not read when it is full are replaced by
+    what the ``greeting`` says of it, after the first line. A reader that leaves too
+    many other lines unread is ended: it may connect again.
+    """
 
     def __init__(
         self,
@@ -119,24 +136,43 @@ class Broadcast:
     ) -> None:
         self._greeting, self._intake, self._tally = greeting, intake, intake.tally
         self._waited_for = waited_for  # the input waits for readers
-        self.readers: set[asyncio.Queue[str]] = set()  # lines that wait for each
+        self.readers: set[_Lines] = set()  # lines that wait for each
 
     def send(self, live: LivePose) -> None:
         """Send a pose, without waiting for readers."""
-        self.put(pose_line(live))
+        self.put(pose_line(live), Kind.POSE)
 
     def gone(self, person: Presence) -> None:
         """Report that a person has left."""
-        self.put(gone_line(person.id))
+        self.put(gone_line(person.id), Kind.OTHER)
 
-    def put(self, line: str) -> None:
+    def put(self, line: str, kind: Kind = Kind.SCENE) -> None:
         """Queue a line for all readers."""
-        for lines in self.readers:
-            if lines.full():
-                lines.get_nowait()
-                lines.task_done()
-                self._tally.events[Event.SLOW] += 1
-            lines.put_nowait(line)
+        for lines in list(self.readers):
+            if lines.qsize() < _MAX_WAITING or self._make_room(lines, kind):
+                lines.put_nowait((kind, line))
+
+    def _make_room(self, lines: _Lines, kind: Kind) -> bool:
+        """Make room for another line in a full queue; return whether there is."""
+        waiting = [lines.get_nowait() for _ in range(lines.qsize())]
+        kinds, room = [item[0] for item in waiting if item], True
+        if Kind.POSE in kinds:
+            del waiting[kinds.index(Kind.POSE)]
+            self._tally.events[Event.SLOW] += 1
+        elif kinds.count(Kind.SCENE) > 1:
+            waiting = [item for item in waiting if item and item[0] is not Kind.SCENE]
+            waiting += [(Kind.SCENE, now) for now in self._greeting()[1:]]
+        else:
+            room = False
+            self._tally.events[Event.SLOW] += 1
+            if kind is not Kind.POSE:
+                self.readers.discard(lines)
+                waiting = [None]
+        for item in waiting:
+            lines.put_nowait(item)
+        for _ in kinds:  # only now, lest nothing seems to wait in between
+            lines.task_done()
+        return room
 
     async def flushed(self) -> None:
         """Wait until readers have every line, if the input waits for them."""
@@ -145,13 +181,13 @@ class Broadcast:
 
     async def serve(self, write: Callable[[str], Awaitable[None]]) -> None:
         """Write all lines from now on for a new reader, by calling ``write``."""
-        lines: asyncio.Queue[str] = asyncio.Queue(_MAX_WAITING)
-        for line in self._greeting():
-            lines.put_nowait(line)
+        lines: _Lines = asyncio.Queue()
+        for number, line in enumerate(self._greeting()):
+            lines.put_nowait((Kind.SCENE if number else Kind.OTHER, line))
         self.readers.add(lines)
         try:
-            while True:
-                await write(await lines.get())
+            while (item := await lines.get()) is not None:
+                await write(item[1])
                 lines.task_done()
         finally:
             self.readers.discard(lines)

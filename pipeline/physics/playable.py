@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, Prop, Tracking
-from kinefilter.characters.arrays import Array
+from kinefilter.characters import Body, InputError, Prop, Tracking
+from kinefilter.characters.arrays import Array, as_numbers
 from kinefilter.characters.humanoid import to_mujoco
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.limbs import at_most
@@ -46,8 +46,18 @@ class Playable:
         self._dragged = None
 
     @property
+    def has_world(self) -> bool:
+        """Whether anybody has come so far, so that there is a world."""
+        return hasattr(self, "world")
+
+    def _check_world(self) -> None:
+        if not self.has_world:
+            raise InputError("nobody has been in the scene yet; step an Avatar in it")
+
+    @property
     def props(self) -> tuple[Prop, ...]:
-        """All props where they are now."""
+        """All props where they are now; raises an InputError before anybody came."""
+        self._check_world()
         return self.scene_props.props(_HERE)
 
     @property
@@ -56,8 +66,14 @@ class Playable:
         return ", ".join(map(_doing, self.characters))
 
     def hit_by(self, origin: ArrayLike, direction: ArrayLike) -> tuple[int, int] | None:
-        """Return what a ray hits first if it is a character: its number and a joint."""
-        start, way = (to_mujoco(np.asarray(v, float)) for v in (origin, direction))
+        """Return what a ray hits first if it is a character: its number and a joint.
+
+        Raises an InputError if the ray is not valid, or before anybody came.
+        """
+        self._check_world()
+        start = as_numbers(origin, "the origin of a ray [m]", (3,), finite=True)
+        start = to_mujoco(start.astype(float))
+        way = to_mujoco(_direction(direction, "the direction of a ray"))
         model, data, geom = self.world.model, self.world.data, np.zeros(1, "i4")
         hit = mujoco.mj_ray(model, data, start, way, None, True, -1, geom)
         body = model.geom_bodyid[geom[0]]
@@ -67,9 +83,12 @@ class Playable:
         return None
 
     def shove(self, joint: int, direction: ArrayLike, number: int = 0) -> None:
-        """Push the part that ends at a character's joint as hard as a person shoves."""
-        way = np.asarray(direction, dtype=float)
-        self._push(number, joint, _PUSH * way / np.linalg.norm(way), _PUSH_TIME)
+        """Push the part that ends at a character's joint as hard as a person shoves.
+
+        Raises an InputError if there is no such character or joint, or no direction.
+        """
+        way = _direction(direction, "the direction of a shove")
+        self._push(number, joint, _PUSH * way, _PUSH_TIME)
 
     def drag(
         self, joint: int, grabbed: ArrayLike, pointer: ArrayLike, number: int = 0
@@ -88,8 +107,14 @@ class Playable:
         self._dragged = None
 
     def throw(self, origin: ArrayLike, velocity: ArrayLike) -> None:
-        """Throw the next ball from a point [m], (3,), with a velocity [m/s], (3,)."""
-        self._balls.throw(self.world.data, origin, velocity)
+        """Throw the next ball from a point [m], (3,), with a velocity [m/s], (3,).
+
+        Raises an InputError if these are not finite numbers, or before anybody came.
+        """
+        self._check_world()
+        origin = as_numbers(origin, "the place of a throw [m]", (3,), finite=True)
+        speed = as_numbers(velocity, "the velocity of a throw", (3,), finite=True)
+        self._balls.throw(self.world.data, origin, speed)
 
     def _pull_dragged(self, dt: float) -> None:
         """Pull what is dragged for the next dt [s]."""
@@ -99,8 +124,21 @@ class Playable:
             self._push(number, joint, at_most(_MAX_DRAG, _STIFFNESS * away), dt)
 
     def _push(self, number: int, joint: int, force: Array, seconds: float) -> None:
+        if number not in range(count := len(self.characters)):
+            raise InputError(f"there is no character {number!r}; {count} in the scene")
         character = self.characters[number]
-        character.push(character.body.skeleton.joints[joint], force, seconds)
+        if joint not in range(count := len(joints := character.body.skeleton.joints)):
+            last = count - 1
+            raise InputError(f"joint {joint!r}: give its number, 0 to {last}")
+        character.push(joints[joint], force, seconds)
+
+
+def _direction(value: ArrayLike, what: str) -> Array:
+    """Return a direction as a unit vector; raises an InputError if it has none."""
+    way = as_numbers(value, what, (3,), finite=True).astype(float)
+    if not (length := np.linalg.norm(way)) > 0.0:
+        raise InputError(f"{what} is zero; give one that leads somewhere")
+    return np.asarray(way / length)
 
 
 def _doing(character: PulledCharacter) -> str:

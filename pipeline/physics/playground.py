@@ -70,9 +70,13 @@ class Playground(Playable):
         self.restart()
 
     def restart(self) -> None:
-        """Restart the motions, with every prop where the scene has it."""
+        """Restart the motions, with every prop where the scene has it.
+
+        Characters that were let go are pulled again.
+        """
         self.time = 0.0
         for character, motion in self._pairs:
+            character.limp = self.tracking == "ragdoll"
             character.start(*self._target(motion)[:2])
         self.scene_props.record(0)
 

@@ -7,10 +7,18 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from kinefilter.characters import Body, InputError, Tracking
-from kinefilter.characters.arrays import Array, Flags
+from kinefilter.characters import (
+    TRACKINGS,
+    Body,
+    InputError,
+    Tracking,
+    TrackingName,
+)
+from kinefilter.characters.arrays import Array, Flags, as_numbers, check_choice
 from kinefilter.characters.humanoid import from_mujoco, to_mujoco
+from kinefilter.characters.tracking import RagdollTracking
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.floor import find_placement
@@ -51,6 +59,7 @@ class SharedPhysics(Stage):
         self.body, self.appears = body, True
         self.ahead = 0.0  # time of the last frame after that of the scene [s]
         self.waiting: Draft | None = None  # the last frame, until the scene advances
+        self._scene.take_hold(self)
 
     def step(self, draft: Draft) -> None:
         """Set the target; raises InputError if it is not finite, or as ``World``."""
@@ -89,10 +98,14 @@ class SharedScene(Playable):
 
     ``advance`` pulls all people to their targets at once; those without a new frame
     stay at their last. The first person appears at the origin, and all others where
-    they are for the sensor, seen from there.
+    they are for the sensor, seen from there. ``tracking`` has the gains that pull
+    everyone, or is one of TRACKINGS by name.
     """
 
-    def __init__(self, scene: str | Path, tracking: Tracking) -> None:
+    def __init__(self, scene: str | Path, tracking: Tracking | TrackingName) -> None:
+        if not isinstance(tracking, Tracking):
+            check_choice(tracking, TRACKINGS, "tracking")
+            tracking = TRACKINGS[tracking]
         self.scene, self._tracking = scene, tracking
         self._place: HeadingFrame | None = None
         self.people: list[SharedPhysics] = []  # who the characters belong to
@@ -116,6 +129,14 @@ class SharedScene(Playable):
         if person in self.people:
             self._go_on_with([other for other in self.people if other is not person])
 
+    def take_hold(self, person: SharedPhysics) -> None:
+        """Pull a person who was let go again; those who fell get up by themselves."""
+        if person in self.people:
+            gives = person.character.compliance
+            if gives is None or not gives.fallen:
+                hangs = isinstance(self._tracking, RagdollTracking)
+                person.character.limp = hangs
+
     def _go_on_with(self, people: list[SharedPhysics]) -> None:
         """Make a world with these people, in which everything goes on as before."""
         known = dict(zip(self.people, self.characters, strict=True))
@@ -132,11 +153,6 @@ class SharedScene(Playable):
             if last is not None and last.body is person.body:
                 character.take_over(last)
         self.scene_props.record(0)
-
-    @property
-    def has_world(self) -> bool:
-        """Whether anybody has come so far, so that there is a world."""
-        return hasattr(self, "world")
 
     def advance(self) -> None:
         """Move everyone up to the newest frame, and complete the frames' drafts."""
@@ -183,8 +199,15 @@ class SharedScene(Playable):
         self._told |= moved
         return moved
 
-    def place(self, prop: str, position: Array, rotation: Array) -> bool:
-        """Put a prop at a position [m] and rotation, wxyz; False if none can be."""
+    def place(self, prop: str, position: ArrayLike, rotation: ArrayLike) -> bool:
+        """Put a prop at a position [m] and rotation, wxyz; False if none can be.
+
+        Raises an InputError if these are not three and four finite numbers.
+        """
+        position = as_numbers(position, "the position of a prop [m]", (3,), finite=True)
+        rotation = as_numbers(rotation, "the rotation of a prop", (4,), finite=True)
+        if not rotation.any():
+            raise InputError("the rotation of a prop is zero; give w, x, y, z")
         joint = self.scene_props.free_joint(prop) if self.has_world else None
         if joint is not None:
             joint.qpos[:3], joint.qpos[3:] = to_mujoco(position), to_mujoco(rotation)

@@ -7,6 +7,7 @@ from functools import partial
 
 from kinefilter.characters import Body, Skeleton, Tracking
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.tracking import RagdollTracking
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
@@ -37,6 +38,7 @@ class Physics(SharedStage):
         if self._body is not body:
             self._body = body
             self.character = PulledCharacter(body, self._tracking, scene=self._scene)
+        self.character.limp = isinstance(self._tracking, RagdollTracking)
         self._started = False
 
     def step(self, draft: Draft) -> None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+from weakref import ref
 
 import mujoco
 import numpy as np
@@ -43,8 +44,10 @@ class World:
     """A scene, one of SCENES or an MJCF file, by default a floor, with characters.
 
     ``extend`` is called to add to the scene before it is compiled. Each body needs a
-    ``PulledCharacter``, made in the order of the bodies. Raises InputError as
-    ``load_scene`` and ``build_humanoids``.
+    ``PulledCharacter``, made in the order of the bodies. It is to be kept elsewhere:
+    they keep the world, and if it kept them, too, only garbage collection, which does
+    not see the engine's memory, would free both. Raises InputError as ``load_scene``
+    and ``build_humanoids``.
     """
 
     def __init__(
@@ -67,7 +70,7 @@ class World:
             add_ties(spec, len(bodies))
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.characters: list[Any] = []  # PulledCharacter, whose file imports this one
+        self._characters: list[ref[Any]] = []
         self._owner = np.full(self.model.nv, _PROP)
         self._props = np.ones(self.model.nq, dtype=bool)
         self._before = np.empty(mujoco.mj_stateSize(self.model, _STATE))
@@ -77,13 +80,28 @@ class World:
             # the trace reports diverging steps anyway.
             mujoco.set_mju_user_warning(lambda _: None)
 
+    @property
+    def characters(self) -> list[Any]:
+        """The characters: each a PulledCharacter, whose file imports this one."""
+        return [character() for character in self._characters]
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse copies and pickles, whose views of the engine's memory lead nowhere.
+
+        Characters and avatars refer to their world, so that this holds for them, too.
+        """
+        raise TypeError(
+            "a simulated world, and whatever is in it, cannot be copied or pickled; "
+            "make another one, such as a new Avatar"
+        )
+
     def add(self, character: Any, places: slice, speeds: slice) -> int:
         """Add the character of the next body; return its number, from 0.
 
         ``places`` and ``speeds`` are where its state is in ``qpos`` and ``qvel``.
         """
-        number = len(self.characters)
-        self.characters.append(character)
+        number = len(self._characters)
+        self._characters.append(ref(character))
         self._owner[speeds] = number
         self._props[places] = False
         return number
@@ -94,7 +112,7 @@ class World:
         Without ``props``, those stop where they are if nobody else is there.
         """
         data, there = self.data, self.data.qpos.copy()
-        if len(self.characters) == 1:
+        if len(self._characters) == 1:
             mujoco.mj_resetData(self.model, data)
             if not props:
                 data.qpos[:] = there
@@ -172,7 +190,7 @@ class World:
 
     def _diverged(self, began: float) -> Flags:
         """Return which characters spin or lost their targets; all if a prop does."""
-        data, count = self.data, len(self.characters)
+        data, count = self.data, len(self._characters)
         wild = np.flatnonzero(~(np.abs(data.qvel) < _TOP_SPEED)).tolist()
         if not data.time > began:
             # The engine restarts at time 0 when its numbers overflow, and notes where.
