@@ -137,7 +137,7 @@ def _direction(value: ArrayLike, what: str) -> Array:
     """Return a direction as a unit vector; raises an InputError if it has none."""
     way = as_numbers(value, what, (3,), finite=True).astype(float)
     if not (length := np.linalg.norm(way)) > 0.0:
-        raise InputError(f"{what} is zero; give one that leads somewhere")
+        raise InputError(f"{what} is zero; give one that is not")
     return np.asarray(way / length)
 
 

@@ -1,6 +1,6 @@
-"""Keeps knees, trunks and feet from postures that nobody can take.
+"""Keeps knees, trunks, arms and feet from postures that nobody can take.
 
-Legs of people seen from the side bend backward. Somebody who turns may leave what
+Legs of people seen from the side bend backward, and arms pass through the body. Somebody who turns may leave what
 correction has learned: it moves one shoulder or hip into the other, or turns them
 against each other. Where a sensor swaps sides, and where people turn while a foot
 stands or between two places, toes would point backward.
