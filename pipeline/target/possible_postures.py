@@ -1,9 +1,9 @@
 """Keeps knees, trunks, arms and feet from postures that nobody can take.
 
-Legs of people seen from the side bend backward, and arms pass through the body. Somebody who turns may leave what
-correction has learned: it moves one shoulder or hip into the other, or turns them
-against each other. Where a sensor swaps sides, and where people turn while a foot
-stands or between two places, toes would point backward.
+Legs of people seen from the side bend backward, and arms pass through the body.
+Somebody who turns may leave what correction has learned: it moves one shoulder or hip
+into the other, or turns them against each other. Where a sensor swaps sides, and where
+people turn while a foot stands or between two places, toes would point backward.
 """
 
 from typing import NamedTuple
@@ -83,9 +83,11 @@ _THICK = np.array([0.18, 0.13])
 """Half width and depth [m] of a trunk of average size, within which no forearm's axis
 is in mocap of s02, s03 and s04."""
 _OUTWARD = np.array([[[0.5, 0.0]], [[-0.5, 0.0]]])
-"""Shares of these by which the left and right arm rather go to their own side."""
+"""Added, in units of these, to the direction in which the left and the right arm leave
+the trunk, so that they rather go to their own side. A guess."""
 _LOW, _HIGH = (-0.15, 0.0), (0.85, 1.0)
-"""Heights, from hips to shoulders, between which the trunk begins, and ends."""
+"""Heights, 0 at the hips and 1 at the shoulders, over which the trunk begins, and over
+which it ends. A guess."""
 
 
 def possible_arms(positions: Array, body: Body) -> Array:
