@@ -9,10 +9,10 @@ from real_data import DATA, recorded
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean, read_take
-from kinefilter.characters import Body, Skeleton, Take, standard_body
+from kinefilter.characters import KINECT_V2, Body, Skeleton, Take, standard_body
 from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.reliability import measure_body, measure_reference
-from kinefilter.pipeline.target.possible_postures import possible_trunk
+from kinefilter.pipeline.target.possible_postures import even_turns, possible_trunk
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import MOTIONS
 
@@ -73,3 +73,28 @@ def test_cleaned_walkers_do_not_wring_their_trunks(name: str) -> None:
     take = read_take(DATA / "two-kinects" / f"{name}.csv.gz")
     clip = clean(take, CleanConfig(physics=False)).clip
     assert _twist(clip.positions, take.skeleton).max() < 55.0
+
+
+@pytest.mark.parametrize("aside", [True, False])
+@pytest.mark.parametrize("seconds", [0.03, 0.9])
+def test_only_fast_turns_beside_the_sensor_are_evened(
+    *, aside: bool, seconds: float
+) -> None:
+    """Who faces the sensor is seen to turn, and who turns slowly may do so."""
+    body, count = standard_body(KINECT_V2), 120
+    time, jump = np.arange(count) / 30.0, np.radians(36.0)
+    yaw = np.interp(time, [2.0, 2.0 + seconds], [0.0, jump])
+    yaw += np.radians(60.0 if aside else -18.0)
+    place = HeadingFrame(np.tile([0.0, 0.0, -3.0], (count, 1)), yaw)
+    positions = place.restore(np.tile(body.rest_positions, (count, 1, 1)))
+    even = even_turns(positions, body, time)
+    if seconds > 0.5 or not aside:
+        np.testing.assert_allclose(even, positions, atol=1e-9)
+        return
+    speeds = []
+    for joints in (positions, even):
+        left, right = (joints[:, j] for j in body.skeleton.sides("Shoulder"))
+        yaw = np.unwrap(np.arctan2((right - left)[:, 2], (left - right)[:, 0]))
+        np.testing.assert_allclose(np.ptp(yaw), jump)
+        speeds.append(np.abs(np.diff(yaw)).max())
+    assert speeds[1] < 0.4 * speeds[0]

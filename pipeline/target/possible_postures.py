@@ -9,6 +9,7 @@ people turn while a foot stands or between two places, toes would point backward
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.anthropometry import STANDARD_HEIGHT
@@ -76,6 +77,41 @@ def possible_trunk(positions: Array, body: Body) -> Array:
     change = np.stack([half.real, 0.0 * half.real, -half.imag], axis=2)
     moved[:, joints[:, 0]] += change
     moved[:, joints[:, 1]] -= change
+    return moved
+
+
+_FAST = np.radians(300.0)
+"""Speed [rad/s] from which lines between hips, or shoulders, turn more evenly. A guess,
+as are the time over which they do and the angles below."""
+_EVEN_TIME = 0.1  # s: standard deviation of the Gaussian that evens a turn
+_FACING, _ASIDE = np.radians(20.0), np.radians(40.0)
+"""Angles [rad] off the direction to the sensor: up to one a line is seen well, and from
+the other on it is not."""
+
+
+def even_turns(positions: Array, body: Body, time: Array) -> Array:
+    """Return joints [m] (T, J, 3) with hips and shoulders that do not jerk round.
+
+    As in ``possible_trunk``, only these move, each pair about its middle. Correction
+    may jump where a person turns away from the sensor, which is at the origin; people
+    who face it may turn as fast as they do. Time stamps [s] have shape (T,).
+    """
+    if len(time) < 3:
+        return positions
+    step, moved = float(np.median(np.diff(time))), positions.copy()
+    for pair in (list(body.skeleton.hips), body.skeleton.sides("Shoulder")):
+        ends = positions[:, pair]
+        line, middle = ends[:, 0] - ends[:, 1], ends.mean(axis=1)
+        yaw = np.unwrap(np.arctan2(-line[:, 2], line[:, 0]))
+        turned = np.abs(np.diff(yaw)) / np.diff(time)
+        speed = np.maximum(np.append(turned, 0.0), np.append(0.0, turned))
+        view = np.abs(wrapped(yaw - np.arctan2(-middle[:, 0], -middle[:, 2])))
+        jerk = (speed / _FAST - 1.0).clip(0.0, 1.0)
+        jerk *= ((view - _FACING) / (_ASIDE - _FACING)).clip(0.0, 1.0)
+        share = 4.0 * gaussian_filter1d(jerk, _EVEN_TIME / step)
+        even = gaussian_filter1d(yaw, _EVEN_TIME / step, mode="nearest")
+        about = HeadingFrame(middle, share.clip(0.0, 1.0) * (even - yaw))
+        moved[:, pair] = about.restore(ends - middle[:, None])
     return moved
 
 

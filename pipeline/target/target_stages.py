@@ -21,7 +21,12 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
-from .possible_postures import possible_arms, possible_knees, possible_trunk
+from .possible_postures import (
+    even_turns,
+    possible_arms,
+    possible_knees,
+    possible_trunk,
+)
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
@@ -106,7 +111,8 @@ class Ranges(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Put the joints of a take where bodies can have them."""
-        positions = possible_trunk(draft.positions, draft.body)
+        positions = even_turns(draft.positions, draft.body, draft.time)
+        positions = possible_trunk(positions, draft.body)
         positions = possible_arms(positions, draft.body)
         draft.positions = possible_knees(positions, draft.skeleton)
 
