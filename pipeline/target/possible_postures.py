@@ -18,6 +18,13 @@ from kinefilter.characters.rotations import cross, unit, wrapped
 from kinefilter.pipeline.failures.limb_failures import LIMBS
 from kinefilter.retarget import HeadingFrame
 
+
+def possible_joints(positions: Array, body: Body) -> Array:
+    """Return joints [m] (T, J, 3) with trunk, arms and knees where they can be."""
+    positions = possible_arms(possible_trunk(positions, body), body)
+    return possible_knees(positions, body.skeleton)
+
+
 # m by which a knee may be behind the line from hip to ankle: 9 degrees. Mocap of six
 # people has 12 degrees at most. Chosen, as the rest, on walks of p00 to p08.
 _BEHIND = 0.03

@@ -21,12 +21,7 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
-from .possible_postures import (
-    even_turns,
-    possible_arms,
-    possible_knees,
-    possible_trunk,
-)
+from .possible_postures import even_turns, possible_joints
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
@@ -105,16 +100,12 @@ class Ranges(Stage):
 
     def step(self, draft: Draft) -> None:
         """Put the joints of the next frame where bodies can have them."""
-        positions = possible_trunk(draft.positions[None], draft.body)
-        positions = possible_arms(positions, draft.body)
-        draft.positions = possible_knees(positions, draft.skeleton)[0]
+        draft.positions = possible_joints(draft.positions[None], draft.body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Put the joints of a take where bodies can have them."""
         positions = even_turns(draft.positions, draft.body, draft.time)
-        positions = possible_trunk(positions, draft.body)
-        positions = possible_arms(positions, draft.body)
-        draft.positions = possible_knees(positions, draft.skeleton)
+        draft.positions = possible_joints(positions, draft.body)
 
 
 class Level(SharedStage):
