@@ -234,6 +234,7 @@ class ReliabilityScorer:
         for joints in (ends, skeleton.segment_parents):
             touch[joints, np.arange(len(ends))] = known
         self._touch = touch / np.maximum(touch.sum(axis=1, keepdims=True), 1.0)
+        self._free = 1.0 - self._touch.sum(axis=1)  # 1 where nothing was measured
         self._lengths = np.where(known, reference.lengths[ends], 1.0)
         age = np.arange(rate_frames)
         # The paper leaves the width unspecified: the oldest frame is at two sigma.
@@ -320,9 +321,17 @@ class ReliabilityScorer:
         return np.asarray(1.0 - excess / max(self._roof - self._floor, 1e-9))
 
     def _kinematics(self, positions: Array) -> Array:
-        """Return the segment-length term (eq. 5-6); a missing end counts as wrong."""
+        """Return the segment-length term (eq. 5-6).
+
+        It is the mean over the segments that have both ends; 0 where none has.
+        """
         bones = self.skeleton.bones(positions)
         lengths = np.sqrt(np.vecdot(bones, bones))
-        ratio = np.abs(lengths - self._lengths) / self._lengths
-        ratio = np.fmin(ratio, 1.0)  # 1 where it is NaN
-        return np.asarray(1.0 - (self._touch @ ratio[..., None])[..., 0])
+        right = 1.0 - np.minimum(np.abs(lengths - self._lengths) / self._lengths, 1.0)
+        there = np.isfinite(right)
+        right[~there] = 0.0
+        if there.all():
+            return np.asarray((self._touch @ right[..., None])[..., 0] + self._free)
+        share = (self._touch @ there[..., None])[..., 0]
+        mean = (self._touch @ right[..., None])[..., 0] / np.maximum(share, 1e-9)
+        return np.asarray(mean + self._free)

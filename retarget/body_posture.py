@@ -16,19 +16,23 @@ _MOST_STEPS = 40
 _EXACT = 1e-7  # m
 _RECONSTRUCTED = 0.02  # firmness, 1 of a measured joint: fifty times the move. A guess.
 # Factor on the firmness of hips, shoulders and their middles, on which all else
-# depends. Like the next one, it was chosen on three of six recorded people.
+# depends. This and the next two were chosen on four of six recorded people.
 _TRUNK = 10.0
+# Resistance of a bone between measured joints to being turned, 1 of a measured joint
+# to being moved. Without it, a leg that is too short for its bones bends at the knee.
+_DIRECTION = 4.0
 # Ease with which all above the knees moves as one, relative to a measured joint of a
-# limb. Without it, legs that are too long or short push the hips away from the trunk.
-_TOGETHER = 0.5
+# limb. Without it, legs that get longer push heels down, which drag.
+_TOGETHER = 0.1
 
 
 class BoneLengths:
     """Projection of postures onto the segment lengths of a body.
 
-    Newton's method solves all length constraints at once with the shortest step, like
-    SHAKE (Ryckaert, Ciccotti & Berendsen 1977, J. Comput. Phys. 23). Where it does not
-    converge, bones keep their directions and are chained from the root.
+    Newton's method solves all length constraints at once, like SHAKE (Ryckaert,
+    Ciccotti & Berendsen 1977, J. Comput. Phys. 23), with the step that moves joints
+    and turns bones least. Where it does not converge, bones keep their directions and
+    are chained from the root.
     """
 
     def __init__(self, body: Body) -> None:
@@ -42,7 +46,7 @@ class BoneLengths:
         above = np.ones(len(skeleton))
         for hip in skeleton.hips:
             above[skeleton.descendants(int(hip))] = 0.0
-        self._together = _TOGETHER * np.outer(self._incidence @ above, above)
+        self._together = _TOGETHER * np.outer(above, above)
         self._firm = np.ones(len(skeleton))
         trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]
         self._firm[[*trunk, *skeleton.sides("Shoulder")]] = _TRUNK
@@ -67,7 +71,7 @@ class BoneLengths:
         Errors above a quarter of a bone are the tracker's, and are clipped.
         """
         directions, errors = self._bones(positions)
-        coupling = self._moves(firmness) @ self._incidence.T
+        coupling = self._stretches(self._moves(firmness))
         coupling *= directions @ directions.transpose(0, 2, 1)
         weights = np.linalg.inv(coupling + self._ridge)
         near = np.clip(errors, -0.25 * self._lengths, 0.25 * self._lengths)
@@ -80,7 +84,18 @@ class BoneLengths:
     def _moves(self, firmness: Array) -> Array:
         """Return the move of each joint per change of each bone, (T, bones, J)."""
         firm = self._firm * firmness + _RECONSTRUCTED
-        return np.asarray(self._incidence / firm[:, None, :] + self._together)
+        turning = np.minimum(firm.take(self._ends, 1), firm.take(self._starts, 1))
+        turning = _DIRECTION * np.minimum(turning, 1.0)
+        resistance = np.zeros((*firm.shape, firm.shape[1]))
+        resistance[:, self._ends, self._starts] = -turning
+        resistance[:, self._starts, self._ends] = -turning
+        joints = np.arange(firm.shape[1])
+        resistance[:, joints, joints] = firm + turning @ np.abs(self._incidence)
+        return np.asarray(self._incidence @ (np.linalg.inv(resistance) + self._together))
+
+    def _stretches(self, moves: Array) -> Array:
+        """Return the difference of moves between both ends of each bone."""
+        return moves.take(self._ends, -1) - moves.take(self._starts, -1)
 
     def _project(self, points: Array, firmness: Array) -> Array:
         projected, most = points.copy(), 0.5 * self._lengths
@@ -90,7 +105,7 @@ class BoneLengths:
         if not len(frames):
             return projected
         moves = self._moves(firmness[frames])
-        coupling = moves @ self._incidence.T
+        coupling = self._stretches(moves)
         share = np.ones((len(frames), 1, 1))
         points, directions, errors, worst = (
             values[frames] for values in (points, directions, errors, worst)
