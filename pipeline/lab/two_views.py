@@ -30,6 +30,7 @@ from .systems import check_untrained
 from .training import teach, training_set
 from .view_sessions import FAR, LIMBS, Session, away_from, read_views, view_pairs
 
+_WALKS = 0.3  # m that somebody moves at least for the headings to be comparable
 _TRUNK = "trunk"  # of which the heading is compared
 _FOLDS = 4  # groups of people; each is tested by training on the others
 
@@ -138,7 +139,13 @@ def _compare(
 
 
 def _turned_from(positions: Array, truth: Array, skeleton: Skeleton) -> Array:
-    """Return the angles between headings of trunks with one middle [degrees], (T,)."""
+    """Return the angles between headings of trunks with one middle [degrees], (T,).
+
+    They are NaN if the person hardly moves, which leaves the turn of an upright middle
+    about itself open.
+    """
+    if np.ptp(truth[:, skeleton.root, [0, 2]], axis=0).max() < _WALKS:
+        return np.full(len(truth), np.nan)
     names = ("Head", "KneeLeft", "AnkleLeft")
     line = [skeleton.root, skeleton.girdle, *map(skeleton.index, names)]
     mirror = skeleton.mirror[line]
