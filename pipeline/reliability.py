@@ -16,7 +16,8 @@ from kinefilter.retarget import measured_body
 
 _CHUNK = 4096  # frames at a time, to bound the memory
 _AVERAGED = 6  # frames over which scores are averaged (eq. 8)
-_LATELY = 300  # frames whose mean is the usual score in live motion. A guess.
+_LATELY = 300  # frames that tell what is usual in live motion. A guess.
+_ENOUGH = 16  # frames that tell the length of a segment. A guess.
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +91,34 @@ class UsualScores:
     def _beside(self, hidden: Flags) -> Flags:
         """Return flags (..., J) of hidden joints and those at their segments."""
         return np.asarray(hidden @ self._near)
+
+
+class RecentLengths:
+    """A person's segment lengths, measured again and again in live motion.
+
+    Who is followed may have been measured for a second only, or not at all.
+    """
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self._skeleton, self._count = skeleton, 0
+        self._lengths = np.full((_LATELY, len(skeleton)), np.nan)
+
+    def step(self, positions: Array, state: Codes) -> Array | None:
+        """Return median lengths [m] (J,) over the last seconds after some frames.
+
+        A segment counts where both ends are tracked; NaN for one that rarely was.
+        """
+        tracked, ends = state == State.TRACKED, self._skeleton.segments
+        tracked[ends] &= tracked[self._skeleton.segment_parents]
+        lengths = segment_lengths(positions, self._skeleton)
+        lengths[~tracked | (lengths < 1e-3)] = np.nan  # joints that always coincide
+        self._lengths[self._count % _LATELY] = lengths
+        self._count += 1
+        early = self._count.bit_count() == 1 and self._count >= _ENOUGH
+        if not early and self._count % _LATELY:
+            return None
+        rarely = np.isfinite(self._lengths).sum(axis=0) < _ENOUGH
+        return np.where(rarely, np.nan, column_medians(self._lengths))
 
 
 def segment_lengths(positions: Array, skeleton: Skeleton) -> Array:
@@ -252,6 +281,11 @@ class ReliabilityScorer:
         self._last = np.full((2, n, 3), np.nan)
         self._angles = np.zeros((self._vibration - 1, n))
         self._scores = np.zeros((len(self._weights) - 1, 2, n))
+
+    def remeasure(self, lengths: Array) -> None:
+        """Judge the next frames by other segment lengths [m] (J,), where not NaN."""
+        lengths = lengths[self.skeleton.segments]
+        self._lengths = np.where(np.isnan(lengths), self._lengths, lengths)
 
     def step(
         self,

@@ -31,7 +31,13 @@ from .failures import (
 from .failures.limb_failures import guessed_knees
 from .methods import SCORERS, load
 from .progress import Progress
-from .reliability import UsualScores, measure_body, measure_reference, rest_reference
+from .reliability import (
+    RecentLengths,
+    UsualScores,
+    measure_body,
+    measure_reference,
+    rest_reference,
+)
 from .workers import one_blas_thread
 
 _BODY_FRAMES = 20_000  # enough for medians; an hour's take must fit into a gigabyte
@@ -206,9 +212,13 @@ class Score(Stage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion of a body."""
         self._scorer = self._make_scorer(body.skeleton, rest_reference(body))
+        self._recent = RecentLengths(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Score the next frame."""
+        lengths = self._recent.step(draft.measured, draft.state)
+        if lengths is not None:
+            self._scorer.remeasure(lengths)
         scores = self._scorer.step(draft.measured, draft.state, draft.time)
         draft.reliability, draft.deciding_term, draft.geometry = scores
 

@@ -91,7 +91,9 @@ class BoneLengths:
         resistance[:, self._starts, self._ends] = -turning
         joints = np.arange(firm.shape[1])
         resistance[:, joints, joints] = firm + turning @ np.abs(self._incidence)
-        return np.asarray(self._incidence @ (np.linalg.inv(resistance) + self._together))
+        return np.asarray(
+            self._incidence @ (np.linalg.inv(resistance) + self._together)
+        )
 
     def _stretches(self, moves: Array) -> Array:
         """Return the difference of moves between both ends of each bone."""

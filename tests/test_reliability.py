@@ -18,6 +18,7 @@ from scored_takes import (
 )
 from skeletons import every_skeleton
 
+from kinefilter import Cleaner
 from kinefilter.characters import KINECT_V1, Skeleton, State, Term, standard_body
 
 JOINTS = len(KINECT_V1)
@@ -154,6 +155,19 @@ def test_a_missing_joint_says_nothing_about_its_neighbors() -> None:
     np.testing.assert_allclose(result.reliability[:, HAND], 0.0)
     np.testing.assert_allclose(result.geometry[:, HAND], 0.0)
     np.testing.assert_allclose(np.delete(result.reliability, HAND, axis=1), 1.0)
+
+
+def test_live_lengths_are_soon_those_that_the_sensor_shows() -> None:
+    """A hand of twice the length is this sensor's, and no reason for doubt."""
+    body = standard_body(KINECT_V1)
+    hand = body.rest_positions[HAND] - body.rest_positions[KINECT_V1.parents[HAND]]
+    take = moved(still_take(40), HAND, hand)
+    cleaner = Cleaner().until("reliability")
+    cleaner.start(body)
+    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
+    reliability = np.array([cleaner.step(*frame).reliability for frame in frames])
+    np.testing.assert_allclose(reliability[:15, HAND], 0.0, atol=1e-9)
+    np.testing.assert_allclose(reliability[25:], 1.0)
 
 
 def test_a_segment_never_measured_has_no_say() -> None:

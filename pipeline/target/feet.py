@@ -51,14 +51,13 @@ _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
 PLANTED = 480.0  # bone weight of a planted foot; a measured joint has 1
-HELD = (3.0, 10.0)
+HELD = (12.0, 40.0)
 """Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
 late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
 of two-kinects."""
 STEPPING = 5.0
-"""Least bone weight of other feet. With 1, legs that get longer push heels back down,
-which drag in 6 % of the frames in which p00, p04 and p08 of two-kinects walk; knees are
-2 % nearer to where another sensor sees them."""
+"""Least bone weight of other feet. With 3, legs that get longer push heels back down,
+which drag in 1 % of the frames of simulated walks with hips that are seen too low."""
 _HEEL_ERROR = 0.10  # m: a planted ankle that is higher than this has left the floor
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
