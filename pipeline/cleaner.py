@@ -141,10 +141,12 @@ class Cleaner:
         Both are for ``start``; a second of frames is enough. Errors as for ``clean``.
         """
         draft, bodies = Draft.of(self._distinct(take)[0]), list[Body]()
-        for stage in self.until(MeasureCorrectedBody.name).stages:
+        for stage in self.stages:
             stage.run(draft, silent)
             if stage.name in (MeasureBody.name, MeasureCorrectedBody.name):
                 bodies.append(draft.body)
+            if stage.name == MeasureCorrectedBody.name:
+                break
         return bodies[-1], bodies[0]
 
     def start(self, body: Body, measured: Body | None = None) -> None:
