@@ -98,6 +98,11 @@ class Skeleton:
         pairs = list(enumerate(self.parents))
         return tuple(tuple(c for c, p in pairs if p == j) for j in range(len(self)))
 
+    @cached_property
+    def legs(self) -> Indices:
+        """Indices of the joints below the left hip, then of those below the right."""
+        return np.array([j for hip in self.sides("Hip") for j in self.descendants(hip)])
+
     def ancestors(self, joint: int) -> list[int]:
         """Return the indices of a joint and its ancestors, without the root."""
         parent = self.parents[joint]

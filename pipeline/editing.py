@@ -190,10 +190,9 @@ def pin(draft: Draft, pins: Sequence[Edit], before: Unedited) -> None:
                 "meters in the clip's frame of reference"
             )
     # Afterwards, legs of the right length move everything above them as one.
-    legs = [k for hip in skeleton.hips for k in skeleton.descendants(int(hip))]
     arms = [k for s in skeleton.sides("Elbow") for k in (s, *skeleton.descendants(s))]
-    later = np.delete(before.done.posed - before.planted.positions, legs, axis=1)
-    lift = np.median(later, axis=1)
+    later = before.done.posed - before.planted.positions
+    lift = np.median(np.delete(later, skeleton.legs, axis=1), axis=1)
     positions, weights = draft.positions.copy(), draft.bone_weights.copy()
     origin, stands = draft.origin.copy(), weights >= PLANTED
     for name in dict.fromkeys(pinned.joints[0] for pinned in pins):

@@ -44,8 +44,7 @@ class BoneLengths:
         joints = np.eye(len(skeleton))
         self._incidence = joints[self._ends] - joints[self._starts]
         above = np.ones(len(skeleton))
-        for hip in skeleton.hips:
-            above[skeleton.descendants(int(hip))] = 0.0
+        above[skeleton.legs] = 0.0
         self._together = _TOGETHER * np.outer(above, above)
         self._firm = np.ones(len(skeleton))
         trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]

@@ -127,8 +127,7 @@ class Reach:
         legs = [skeleton.sides(part) for part in ("Hip", "Knee", "Ankle")]
         self._arms, self._legs = np.transpose(arms), np.transpose(legs)
         self._beyond = [[j, *skeleton.descendants(j)] for j in self._arms[:, 2]]
-        below = [j for hip in skeleton.hips for j in skeleton.descendants(int(hip))]
-        self.upper = np.setdiff1d(np.arange(len(skeleton)), below)
+        self.upper = np.setdiff1d(np.arange(len(skeleton)), skeleton.legs)
         self._trunk = np.setdiff1d(self.upper, [skeleton.root, *skeleton.hips])
 
     def __call__(

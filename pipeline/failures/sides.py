@@ -215,10 +215,10 @@ def swapped_frames(take: Take) -> Flags:
     costs = np.outer(_SWAPPED + _FACING * facing, choices.mean(axis=1))
     costs += _APART * (choices[:, 0] != choices[:, 1])
     ways = np.zeros((len(take), 4, 4))
-    legs = _below(take.skeleton, "Hip")
+    legs = take.skeleton.legs
     paired = take.skeleton.mirror != np.arange(len(take.skeleton))
     rest = np.setdiff1d(np.flatnonzero(paired), legs)
-    for k, joints in enumerate((rest, np.array(legs))):
+    for k, joints in enumerate((rest, legs)):
         same, other = _costs_of_moving(take, joints)
         changes = choices[:, None, k] != choices[:, k]
         ways += np.where(changes, other[:, None, None], same[:, None, None])
@@ -272,11 +272,10 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
         return steadied(take, [])
     skeleton, (frames, legs) = take.skeleton, swapped.T
     behind = np.repeat(frames[:, None], len(skeleton), axis=1)
-    behind[:, _below(skeleton, "Hip")] = legs[:, None]
+    behind[:, skeleton.legs] = legs[:, None]
     mended = with_joints(take, take.swapped(), behind)
     if take.face is not None:  # nobody has one who is seen from behind
-        face = np.where(frames[:, None], np.nan, take.face)
-        mended = replace(mended, face=face)
+        mended = replace(mended, face=np.where(frames[:, None], np.nan, take.face))
     changes = np.flatnonzero(np.diff(frames)) + 1
     positions = steadied(mended, changes.tolist()).positions.copy()
     some = frames | legs
@@ -286,12 +285,6 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
         back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
         positions[some, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
     return replace(mended, positions=positions)
-
-
-def _below(skeleton: Skeleton, name: str) -> list[int]:
-    """Return the joints of both limbs that begin at joints of a name, without these."""
-    ends = skeleton.sides(name)
-    return [j for end in ends for j in skeleton.descendants(end) if j not in ends]
 
 
 def exchanged_joints(skeleton: Skeleton, part: str) -> Indices:
