@@ -55,15 +55,20 @@ class PairedTake:
             raise InputError(f"{self.take.source}: truth is inf; use NaN if missing")
 
 
+def check_same_skeleton(take: Take, first: Take, hint: str) -> None:
+    """Raise an InputError that ends in a hint if two takes have different skeletons."""
+    if take.skeleton != first.skeleton:
+        raise InputError(
+            f"{take.source}: the skeleton is {take.skeleton.name}, but that of "
+            f"{first.source} is {first.skeleton.name}; {hint}"
+        )
+
+
 def one_skeleton(pairs: Sequence[PairedTake]) -> Skeleton:
     """Return the skeleton of pairs; raises InputError if they have different ones."""
     first = pairs[0].take
-    for take in (pair.take for pair in pairs):
-        if take.skeleton != first.skeleton:
-            raise InputError(
-                f"{take.source}: the skeleton is {take.skeleton.name}, but that of "
-                f"{first.source} is {first.skeleton.name}; give pairs of one skeleton"
-            )
+    for pair in pairs:
+        check_same_skeleton(pair.take, first, "give pairs of one skeleton")
     return first.skeleton
 
 

@@ -20,7 +20,7 @@ from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.merge.alignment import TwoTakes
 from kinefilter.pipeline.merge.lag import Clock, Spline, best_lag, distances, refine_lag
 from kinefilter.pipeline.merge.rigid import SIGMA, Placement, placement
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, check_same_skeleton
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
@@ -130,12 +130,7 @@ def pair_session(
 def _check_alike(takes: Sequence[Take]) -> None:
     first = takes[0]
     for take in takes:
-        if take.skeleton != first.skeleton:
-            raise InputError(
-                f"{take.source}: the skeleton is {take.skeleton.name}, but that of "
-                f"{first.source} is {first.skeleton.name}; pair them into files of "
-                "their own"
-            )
+        check_same_skeleton(take, first, "pair them into files of their own")
         rates = 1.0 / nominal_step(take.time), 1.0 / nominal_step(first.time)
         if not abs(rates[0] / rates[1] - 1.0) < _RATES:
             raise InputError(

@@ -17,7 +17,7 @@ from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.merge.rigid import placement
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, check_same_skeleton
 from kinefilter.pipeline.progress import Progress, over, silent
 from kinefilter.pipeline.target.smooth import smooth
 from kinefilter.retarget import HeadingFrame, find_yaw
@@ -98,11 +98,7 @@ class Views(NamedTuple):
 def read_views(session: Session) -> Views:
     """Read a session and match its frames; InputError if the takes are of two."""
     first, second = read_take(session.first), read_take(session.second)
-    if first.skeleton != second.skeleton:
-        raise InputError(
-            f"{second.source}: the skeleton is {second.skeleton.name}, but that of "
-            f"{first.source} is {first.skeleton.name}; two views need the same skeleton"
-        )
+    check_same_skeleton(second, first, "two views need the same skeleton")
     rows = _matched(session, first, second)
     takes = {"A": (first, rows[0]), "B": (second, rows[1])}
     mended = {sensor: _mended(take) for sensor, (take, _) in takes.items()}
