@@ -35,6 +35,7 @@ __all__ = [
     "moves_of",
     "postures_of",
     "recorded_lessons",
+    "training_set_of",
 ]
 
 Array = NDArray[np.float64]
@@ -66,7 +67,28 @@ def lessons_of(
     reliability = np.ones(seen.shape[:2])
     first = np.zeros(count, dtype=bool)
     first[0] = True
-    return TrainingSet(seen, reliability, truth, first, KINECT_V1, "imagined")
+    return training_set_of(seen, reliability, truth, first)
+
+
+def training_set_of(
+    positions: Array,
+    reliability: Array,
+    truth: Array,
+    first: NDArray[np.bool_],
+    **known: Any,
+) -> TrainingSet:
+    """Return frames at 30 Hz of one person of standard size in front of a sensor."""
+    count = len(positions)
+    usual: dict[str, Any] = {
+        "skeleton": KINECT_V1,
+        "source": "imagined",
+        "lengths": np.tile(standard_body(KINECT_V1).lengths, (count, 1)),
+        "person": np.zeros(count, dtype=np.intp),
+        "people": ("somebody",),
+        "time": np.arange(count) / 30.0,
+        "sensor": np.zeros((count, 3)),
+    }
+    return TrainingSet(positions, reliability, truth, first, **usual | known)
 
 
 def bent(seen: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from offset_lessons import ELBOW, ONES, SPINE, WRIST, postures_of
+from offset_lessons import ELBOW, ONES, SPINE, WRIST, postures_of, training_set_of
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -30,7 +30,7 @@ def _lessons(shift: Array, count: int = 400, seed: int = 0) -> TrainingSet:
     truth[:, SPINE] = np.nan
     reliability = np.ones(seen.shape[:2])
     first = np.zeros(count, dtype=bool)
-    return TrainingSet(seen, reliability, truth, first, KINECT_V1, "imagined")
+    return training_set_of(seen, reliability, truth, first)
 
 
 @pytest.fixture(scope="module")
@@ -130,16 +130,12 @@ def test_unreliable_postures_teach_nothing() -> None:
     spoilt[::2, ELBOW] += 0.5
     reliability = lessons.reliability.copy()
     reliability[::2, WRIST] = 0.6
-    mixed = TrainingSet(
-        lessons.positions, reliability, spoilt, lessons.first, KINECT_V1, "half wrong"
-    )
-    half = TrainingSet(
+    mixed = replace(lessons, reliability=reliability, truth=spoilt, source="half wrong")
+    half = training_set_of(
         lessons.positions[1::2],
         lessons.reliability[1::2],
         lessons.truth[1::2],
         lessons.first[1::2],
-        KINECT_V1,
-        "good half",
     )
     posture = postures_of(1, seed=5)[0]
     one, two = (

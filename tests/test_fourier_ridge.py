@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from offset_lessons import training_set_of
 from real_data import PAIRS, paired
 
 from kinefilter.characters import (
@@ -58,14 +59,13 @@ def _lessons() -> TrainingSet:
         seen[:, wrist, 1] += 0.03 + 0.05 * seen[:, wrist, 1]
     first = np.zeros(len(seen), dtype=bool)
     first[np.cumsum([0, *counts[:-1]])] = True
-    return TrainingSet(
-        positions=seen,
-        reliability=np.ones(seen.shape[:2]),
-        truth=together,
-        first=first,
-        skeleton=KINECT_V1,
-        source="imagined",
+    return training_set_of(
+        seen,
+        np.ones(seen.shape[:2]),
+        together,
+        first,
         person=np.repeat(np.arange(3), counts),
+        people=("one", "two", "three"),
         time=np.concatenate([np.arange(count) / 30.0 for count in counts]),
     )
 

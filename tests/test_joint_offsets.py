@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from offset_lessons import training_set_of
 from skeletons import every_skeleton
 
 from kinefilter import CleanConfig, clean
@@ -31,7 +32,6 @@ from kinefilter.pipeline.factory import default_corrector
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.evaluate import evaluate
 from kinefilter.pipeline.lab.methods.baselines import JointOffsets
-from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.simulation import simulate, simulated_pairs
 from kinefilter.pipeline.lab.training import observed, training_set
 from kinefilter.pipeline.progress import silent
@@ -71,14 +71,9 @@ def test_an_offset_along_a_segment_is_learned() -> None:
         return moved
 
     truth, other = _postures(KINECT_V1), _postures(KINECT_V1, "wave")
-    lessons = TrainingSet(
-        positions=beyond(truth),
-        reliability=np.ones(truth.shape[:2]),
-        truth=truth,
-        first=np.zeros(len(truth), dtype=bool),
-        skeleton=KINECT_V1,
-        source="a wrist too far",
-    )
+    first = np.zeros(len(truth), dtype=bool)
+    reliability = np.ones(truth.shape[:2])
+    lessons = training_set_of(beyond(truth), reliability, truth, first)
     method = JointOffsets(KINECT_V1).fit(lessons)
     wrist = KINECT_V1.index("WristLeft")
     for wrong, right in zip(beyond(other), other, strict=True):

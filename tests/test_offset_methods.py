@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,7 +32,6 @@ from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods.baselines import Exemplar, FullGP
 from kinefilter.pipeline.lab.methods.clustered_gp import ClusteredGP
 from kinefilter.pipeline.lab.methods.local_gp import LocalGP
-from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 
 pytestmark = pytest.mark.usefixtures("few_for_kernels")
 
@@ -153,14 +153,7 @@ def test_too_few_pairs_and_other_skeletons_are_refused(name: str) -> None:
     with pytest.raises(InputError, match="too few"):
         METHODS[name]().fit(lessons_of(bent, count=60))
     lessons = lessons_of(bent)
-    foreign = TrainingSet(
-        lessons.positions,
-        lessons.reliability,
-        lessons.truth,
-        lessons.first,
-        KINECT_V2,
-        "another sensor",
-    )
+    foreign = replace(lessons, skeleton=KINECT_V2, source="another sensor")
     with pytest.raises(InputError, match="another sensor: pairs of kinect_v2"):
         METHODS[name]().fit(foreign)
 

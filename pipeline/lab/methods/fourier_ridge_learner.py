@@ -61,7 +61,7 @@ def people_in(training: TrainingSet, weight: float, most: int) -> Iterator[Perso
     """
     features = PostureFeatures(training.skeleton)
     clip = np.cumsum(training.first) - 1
-    for person in np.unique(np.asarray(training.person)):
+    for person in np.unique(training.person):
         rows = np.flatnonzero(training.person == person)
         bounds = np.flatnonzero(np.diff(clip[rows], prepend=-1, append=-1))
         takes = [_take(training, rows[a:b], features) for a, b in pairwise(bounds)]
@@ -101,13 +101,11 @@ def _take(training: TrainingSet, rows: Indices, features: PostureFeatures) -> _T
     # A joint that mocap lost for a while gets its mean offset in the clip.
     known = ~np.isnan(offsets)
     mean = np.where(known, offsets, 0.0).sum(axis=0) / np.maximum(known.sum(0), 1)
-    sensor = None if training.sensor is None else training.sensor[rows]
-    time = training.time
     return _Take(
         features.points(posture),
         np.where(known, offsets, mean),
-        direction_to(sensor, len(rows)),
-        np.arange(len(rows)) / 30.0 if time is None else time[rows],
+        direction_to(training.sensor[rows], len(rows)),
+        training.time[rows],
         np.flatnonzero(known.any(axis=(1, 2))),
     )
 
@@ -297,8 +295,6 @@ class FourierRidgeLearner(FourierRidge, Learner):
         return self
 
     def _mean_proportions(self, training: TrainingSet) -> Array:
-        if training.lengths is None or training.person is None:
-            return np.zeros(len(self._posture_features.limbs))
         each = []
         for person in np.unique(training.person):
             lengths = training.lengths[training.person == person]
@@ -338,8 +334,7 @@ def _centers_of(features: Singles, count: int) -> Singles:
     some = features[np.random.default_rng(0).permutation(len(features))[: 20 * count]]
     count = -(-len(some) // 20)
     means = KMeans(count, init="random", max_iter=10, random_state=0)
-    nearest = means.fit_predict(some)
-    common = np.bincount(nearest, minlength=count) > _ALONE
+    common = np.bincount(means.fit_predict(some), minlength=count) > _ALONE
     return np.asarray(means.cluster_centers_[common])
 
 

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from kinefilter.characters import InputError, Skeleton, standard_body
+from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.pipeline.correct import Correction, Hold, LearnedCorrector, Observation
 from kinefilter.pipeline.correct.interface import CORRECTED_CONFIDENCE
@@ -28,11 +28,11 @@ class TrainingSet:
     first: Flags  # True for the first frame of each take, shape (N,)
     skeleton: Skeleton  # the joints, in the order of the arrays
     source: str  # description of the pairs, for the model file
-    lengths: Array | None = None  # the person's own segment lengths [m], (N, J)
-    person: Indices | None = None  # index of the person in each frame, shape (N,)
-    people: tuple[str, ...] = ()  # names of the people, by index
-    time: Array | None = None  # stamps [s] within each take, (N,); None means at 30 Hz
-    sensor: Array | None = None  # its position, as in ``Observation``, shape (N, 3)
+    lengths: Array  # the person's own segment lengths [m], shape (N, J)
+    person: Indices  # index of the person in each frame, shape (N,)
+    people: tuple[str, ...]  # names of the people, by index
+    time: Array  # stamps [s] within each take, shape (N,)
+    sensor: Array  # its position, as in ``Observation``, shape (N, 3)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -126,8 +126,8 @@ class TrainingFrames:
         # Requiring a joint that is mostly absent would leave too few frames.
         usual, common = counts / len(training) > 0.5
         joints = np.flatnonzero(common)
-        legs = [j for hip in skeleton.hips for j in (hip, *skeleton.descendants(hip))]
-        least = np.where(np.isin(joints, legs), 0.0, least_reliability)
+        legs = np.isin(joints, [*skeleton.hips, *skeleton.legs])
+        least = np.where(legs, 0.0, least_reliability)
         rows = _complete_frames(training, joints, least)
         if len(rows) < _LEAST_FRAMES or not len(joints):
             raise InputError(
@@ -144,11 +144,7 @@ class TrainingFrames:
         for row in np.flatnonzero(np.isnan(postures).any(axis=(1, 2))):
             hold.start()
             postures[row] = hold.fill(postures[row][None])[0]
-        lengths = (
-            np.tile(standard_body(skeleton).lengths, (len(rows), 1))
-            if training.lengths is None
-            else training.lengths[rows].astype(np.float32).astype(float)
-        )
+        lengths = training.lengths[rows].astype(np.float32).astype(float)
         return cls(postures, offsets, joints, usual, lengths)
 
 
