@@ -38,10 +38,7 @@ _GOODBYE = 1.0  # s for the last lines
 
 @asynccontextmanager
 async def open_sink(
-    address: Address,
-    access: Access,
-    greeting: Callable[[], list[str]],
-    intake: Intake,
+    address: Address, access: Access, greeting: Callable[[], list[str]], intake: Intake
 ) -> AsyncIterator[tuple[Broadcast | Engine, Address]]:
     """Yield a destination for poses, and its address in use.
 

@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Body
-from kinefilter.characters.anthropometry import (
-    positions_from_rotations,
-    within_ranges,
-)
+from kinefilter.characters.anthropometry import positions_from_rotations, within_ranges
 from kinefilter.characters.arrays import Array, Flags, Indices, chunks
 from kinefilter.characters.gaps import LONG_GAP
 from kinefilter.characters.humanoid import to_mujoco

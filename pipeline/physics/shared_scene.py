@@ -9,13 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinefilter.characters import (
-    TRACKINGS,
-    Body,
-    InputError,
-    Tracking,
-    TrackingName,
-)
+from kinefilter.characters import TRACKINGS, Body, InputError, Tracking, TrackingName
 from kinefilter.characters.arrays import Array, Flags, as_numbers, check_choice
 from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.characters.tracking import RagdollTracking
