@@ -246,6 +246,5 @@ def within_ranges(rotations: Array, skeleton: Skeleton) -> Array:
         most = joint_range(skeleton.joints[j])
         angle = 2.0 * np.arccos(np.minimum(np.abs(np.vecdot(start, end)), 1.0))
         if (beyond := angle > most).any():
-            share = most / angle[beyond]
-            found[beyond, j] = slerp(start[beyond], end[beyond], share)
+            found[beyond, j] = slerp(start[beyond], end[beyond], most / angle[beyond])
     return found

@@ -202,8 +202,7 @@ def _of_manifest(path: Path) -> dict[str, Any]:
     known: dict[str, Any] = {"kind": "manifest of a batch", "notes": [note]}
     if beginning(path).startswith("take,"):
         return known | {"format": "csv"}
-    rows = parse_rows(path.read_bytes(), str(path))[0]
-    last = {row.take: row.status for row in rows}
+    last = {row.take: row.status for row in parse_rows(path.read_bytes(), str(path))[0]}
     return known | {"format": "json lines", "takes": len(last)} | Counter(last.values())
 
 

@@ -131,8 +131,7 @@ def skate(time: Array, positions: Array, body: Body) -> tuple[float, float, floa
 def floating(positions: Array, stands: Flags, body: Body) -> float:
     """Return the mean height of the soles of planted feet over the floor [m]."""
     _, toes = ankles_and_toes(body.skeleton)
-    over = np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands]
-    return _mean(over)
+    return _mean(np.maximum(positions[:, toes, 1] - body.radii[toes], 0.0)[stands])
 
 
 def peak_speed(time: Array, positions: Array, joints: list[int]) -> float:

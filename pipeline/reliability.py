@@ -219,8 +219,7 @@ def _in_reference_posture(take: Take) -> Flags:
         """Return the sine of each segment's elevation, (4, T)."""
         joints = [skeleton.index(end + side) for side in SIDES for end in ends]
         starts = [skeleton.parents[j] for j in joints]
-        bones = take.positions[:, joints] - take.positions[:, starts]
-        return unit(bones)[..., 1].T
+        return unit(take.positions[:, joints] - take.positions[:, starts])[..., 1].T
 
     arms = rise("Elbow", "Wrist")
     down, sideways = (arms < -0.9).all(axis=0), (np.abs(arms) < 0.34).all(axis=0)
@@ -327,8 +326,7 @@ class ReliabilityScorer:
         scores = np.concatenate([self._scores, scores])
         count, kept = len(positions), len(self._scores)
         # Eq. 8, with weights normalized over the frames so far.
-        frames = self._frames + np.arange(count)
-        weights = self._weights[np.minimum(frames, kept)]
+        weights = self._weights[np.minimum(self._frames + np.arange(count), kept)]
         mean = np.zeros((count, *scores.shape[1:]))
         for age, weight in enumerate(weights.T):
             mean += weight[:, None, None] * scores[kept - age :][:count]

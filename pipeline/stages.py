@@ -296,8 +296,7 @@ class Correct(Stage):
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Correct a take; joints the method leaves missing keep their last bones."""
         steps = progress(self.name, len(draft.time))
-        usual = UsualScores(draft.skeleton).whole
-        observation = self._observation(draft, usual)
+        observation = self._observation(draft, UsualScores(draft.skeleton).whole)
         method = self._method(draft.skeleton, by_kinect=draft.by_kinect)
         found = method.whole(observation, steps)
         if self._given is not None:

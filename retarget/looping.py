@@ -240,8 +240,7 @@ def _bend(
     rotations: Array, posed: Array, leg: Indices, goals: Array, lengths: Array
 ) -> None:
     """Turn a leg (hip, knee, ankle, toes) in place to its goals [m] (T, 2, 3)."""
-    away = np.abs(goals - posed[:, leg[2:]]) > _MOVED
-    some = np.flatnonzero(away.any(axis=(1, 2)))
+    some = np.flatnonzero((np.abs(goals - posed[:, leg[2:]]) > _MOVED).any(axis=(1, 2)))
     _, knee, ankle, toe = leg
     hips, knees, ankles, toes = np.moveaxis(posed[some][:, leg], 1, 0)
     goal, tip = np.moveaxis(goals[some], 1, 0)

@@ -42,8 +42,7 @@ def clean_file(job: Job) -> Row:
     row: dict[str, Any] = {"status": "done"}
     with one_thread():
         try:
-            suffix = PurePosixPath(job.output).suffix
-            _check_same(job.settings, suffix, job.fingerprint)
+            _check_same(job.settings, PurePosixPath(job.output).suffix, job.fingerprint)
             read = [_read(source, job.settings) for source in job.sources]
             row["sha256"] = " ".join(sha256 for _, sha256 in read)
             if any(recording for recording, _ in read):

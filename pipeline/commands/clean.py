@@ -146,8 +146,7 @@ class Clean:
             raise InputError("--one-file requires --body all and a .glb clip")
         check_writable(self.out, export)
         check_output(self.report, suffix=".html")
-        written = (self.out, self.json, self.save_contacts, self.report)
-        check_outputs(written, *used)
+        check_outputs((self.out, self.json, self.save_contacts, self.report), *used)
 
     def _cleaned(
         self, recordings: list[Recording], numbers: list[int]

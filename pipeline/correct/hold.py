@@ -63,8 +63,7 @@ class Blend:
         residual = np.where(confidence[..., None] > 0.0, measured - prior, 0.0)
         weights = confidence / np.maximum(1.0 - confidence, 1.0 / _FIRMEST)
         own = np.eye(confidence.shape[-1]) * (weights + 1e-6)[..., None]
-        pulled = weights[..., None] * residual
-        blended = prior + solved(self._laplacian + own, pulled)
+        blended = prior + solved(self._laplacian + own, weights[..., None] * residual)
         # Fully trusted joints stay exactly where they were measured.
         return np.where(confidence[..., None] >= 1.0, measured, blended)
 

@@ -132,8 +132,7 @@ def find_failures(
     if len(take) < 2:
         return ()
     time, kind = take.time, FailureKind
-    odd = bodies.wrong_size_frames(take)
-    found = list(stretches(time, kind.ODD_SIZE, "body", odd))
+    found = list(stretches(time, kind.ODD_SIZE, "body", bodies.wrong_size_frames(take)))
     apart = bodies.fallen_apart_frames(take)
     found += stretches(time, kind.FALLEN_APART, "body", apart)
     take = take.without(lost_joints(found, take))

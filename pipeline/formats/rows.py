@@ -96,8 +96,7 @@ class RowReader:
                 word = cell if len(cell) <= 40 else f"{cell[:37]}..."
                 is_time = self.columns[column] == "time"
                 hint = "correct or delete the row" if is_time else self.hint
-                wrong = f"is {word!r}, expected a number; {hint}"
-                self._fail(row, column, wrong)
+                self._fail(row, column, f"is {word!r}, expected a number; {hint}")
         return numbers
 
     def refuse(self, block: Block, wrong: Flags, complaint: str) -> None:

@@ -72,8 +72,7 @@ def simple_guesses(
     frames beside the gap are smoothed with those in it. ``positions`` [m] have nothing
     hidden, shape (T, J, 3).
     """
-    yaw = find_yaw(positions, skeleton)
-    frame = HeadingFrame(positions[:, skeleton.root], yaw)
+    frame = HeadingFrame(positions[:, skeleton.root], find_yaw(positions, skeleton))
     facing = frame.remove(positions)
     guessed = {name: facing.copy() for name in SIMPLE}
     seen = np.asarray(~np.isnan(facing).any(axis=(0, 2)))

@@ -90,8 +90,7 @@ class VmcFigure:
         """
         bones = self.bones(pose).values()
         places = [[*position, *turn[1:], turn[0]] for position, turn in bones]
-        values = [seconds, *_AT_ORIGIN, *np.ravel(places)]
-        return self._bundles.filled(np.array(values))
+        return self._bundles.filled(np.array([seconds, *_AT_ORIGIN, *np.ravel(places)]))
 
 
 def absence() -> bytes:

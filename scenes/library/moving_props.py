@@ -69,8 +69,7 @@ def _carries(hands: Hands, size: Array) -> list[tuple[int, int]]:
 
 def _bottom(height: Array) -> int:
     """Return the index of the lowest point before the first clear rise."""
-    lowest = np.minimum.accumulate(height)
-    rises = np.flatnonzero(height > lowest + _STIR)
+    rises = np.flatnonzero(height > np.minimum.accumulate(height) + _STIR)
     return int(np.argmin(height[: rises[0] + 1])) if len(rises) else 0
 
 

@@ -100,8 +100,7 @@ def _dribble(puppet: Puppet, rng: Rng, base: Pose, length: float) -> Score:
     low = low.leaning(pelvis=(-0.3, 0.0, 0.0), spine=(0.0, 0.0, -0.3))
     ball = np.array([u(-0.4, -0.2), grip, u(0.35, 0.5)])
     for side, x in ((LEFT, half), (RIGHT, -half)):
-        place = ball + x * _ahead(1.1)
-        low = puppet.put_hand_world(low, side, place, (1.0, 0.2, -0.2))
+        low = puppet.put_hand_world(low, side, ball + x * _ahead(1.1), (1.0, 0.2, -0.2))
     belly = np.array([half / puppet.scale, u(-0.38, -0.3), 0.36])
     hold = puppet.reach_both(base.leaning(spine=-0.08), belly, _DOWN)
     score.to(u(0.9, 1.4), low).hold(0.2).to(u(0.9, 1.4), hold).hold(u(0.2, 0.5))

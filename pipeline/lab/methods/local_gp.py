@@ -77,8 +77,7 @@ class LocalGP(FusedOffsets):
         # Of the offsets rather than the residuals: the trend is known, too.
         power = np.mean(frames.offsets**2, axis=(0, 2))
         self.prior_ = np.maximum(power, kernels.theta0) + kernels.noise
-        count = min(self.clusters, len(rows))
-        shape = (len(self.joints_), count, self.samples)
+        shape = (len(self.joints_), min(self.clusters, len(rows)), self.samples)
         self.features_ = np.zeros((*shape, rows.shape[2]), dtype=np.float32)
         self.offsets_ = np.zeros((*shape, 3), dtype=np.float32)
         self.counts_ = np.zeros(shape[:2], dtype=np.int32)

@@ -154,8 +154,7 @@ def chiang_table_1(options: Options, *, movements: int = 10) -> Study:
         (split, raw, liu, chiang, 100.0 * (1.0 - chiang / raw))
         for split, (raw, liu, chiang) in means.items()
     ]
-    columns = {"kinect": 1, "liu-2016": 2, "chiang-2017": 3}
-    bars = series_of(rows, columns, kind="bars")
+    bars = series_of(rows, {"kinect": 1, "liu-2016": 2, "chiang-2017": 3}, kind="bars")
     title = "Splits into training and test frames (Chiang 2017, Table 1)"
     header = ("tested on", "kinect_cm", "liu_cm", "chiang_cm", "cut_percent")
     panels = [Panel("test data", "error of the arms, cm", bars)]

@@ -181,8 +181,7 @@ def held_box(options: Options, *, count: int = 20) -> Study:
         for row, results in _performances(options, "box", motion, count):
             figures = [_figures_held(result, height) for result in results]
             values = sorted(f["peak"] for f in figures)
-            share = np.linspace(0.0, 100.0, count).tolist()
-            peaks.append(Series(row, share, values))
+            peaks.append(Series(row, np.linspace(0.0, 100.0, count).tolist(), values))
             lifted = sum(peak > _LIFTED for peak in values)
             down = sum(bool(f["put_down"]) for f in figures)
             means = (float(np.mean([f[key] for f in figures])) for key in _MEANS)

@@ -173,8 +173,7 @@ def liu_table_3(options: Options, *, people: int = 8, motions: int = 4) -> Study
     ]
     rows += [(f"{name}, paper", *_LIU_3[name]) for name in names]
     labels = ("kinect", "shen", "zhou", "liu, offline", "liu, incremental")
-    columns = {label: k for k, label in enumerate(labels, 1)}
-    bars = series_of(rows, columns, kind="bars")
+    bars = series_of(rows, {label: k for k, label in enumerate(labels, 1)}, kind="bars")
     milliseconds = 1e3 * seconds[1:] / frames
     rows.append(("ms a frame", None, *milliseconds))
     rows.append(("ms a frame, paper", *_MS))
