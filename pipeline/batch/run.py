@@ -1,7 +1,4 @@
-"""Cleaning many takes, each only once, even if runs are interrupted.
-
-Workers are local processes, or those of a Dask cluster.
-"""
+"""Cleaning many takes, each only once, even if runs are interrupted."""
 
 import logging
 import os
@@ -90,10 +87,7 @@ class Crew:
 
 
 def open_crew(scheduler: str | None, jobs: int) -> Crew:
-    """Return the workers of a Dask scheduler, or ``jobs`` local processes.
-
-    Raises InputError if the scheduler does not answer, or Dask is not installed.
-    """
+    """Return local processes or a Dask scheduler's workers; InputError without them."""
     return Crew(jobs, Workers(jobs)) if scheduler is None else _Cluster(scheduler)
 
 

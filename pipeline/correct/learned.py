@@ -15,10 +15,7 @@ from .interface import Corrector
 
 
 class LearnedCorrector(Corrector):
-    """A correction method that is trained on pairs of Kinect and mocap.
-
-    Fitted state ends in ``_``; a ``Learner`` of the lab computes it.
-    """
+    """A method that a ``Learner`` of the lab trains; fitted state ends in ``_``."""
 
     fitted: ClassVar[tuple[str, ...]]
     """Names of the arrays in a model file: ``joints`` is the attribute ``joints_``."""

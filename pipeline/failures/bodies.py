@@ -1,7 +1,4 @@
-"""Bodies of an impossible size, under the floor, or where nobody could be so soon.
-
-Also joints that are too far away from their body.
-"""
+"""Bodies of impossible size or place, or suddenly far away, and stray joints."""
 
 from collections import deque
 from statistics import median_low

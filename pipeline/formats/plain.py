@@ -12,10 +12,7 @@ _MOST_TOLD = 5  # times that are listed one by one; more are counted
 
 
 def finite(value: Any) -> Any:
-    """Return a value or a nested list, tuple or dict of values, ready for JSON.
-
-    NaN and infinite numbers, which JSON does not have, become None.
-    """
+    """Return a nested value ready for JSON: NaN and infinite numbers become None."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,7 +1,4 @@
-"""Messages of a live session: incoming frames and outgoing poses, one JSON line each.
-
-``CONVENTIONS.md`` describes them under *Streams*.
-"""
+"""Messages of a live session: a line of JSON each; see *Streams* in CONVENTIONS.md."""
 
 from __future__ import annotations
 

@@ -243,10 +243,7 @@ def stretches(count: int, share: int) -> list[range]:
 
 
 def shown_frames(clip: Clip, look: Look) -> tuple[Clip, float]:
-    """Return the frames to draw, evenly spaced in time, and their rate [1/s].
-
-    Raises an InputError if the clip has no frame between --begin and --end.
-    """
+    """Return frames to draw, even in time, and their rate [1/s]; InputError if none."""
     rate = look.fps or clip.fps
     even = resampled(clip, rate)
     since = even.time - even.time[0]

@@ -55,10 +55,7 @@ class Backend:
 
 
 def find_backend() -> Backend:
-    """Return the OpenGL that MUJOCO_GL names or, if unset, the first that works.
-
-    If none works, an InputError says what to install.
-    """
+    """Return the OpenGL of MUJOCO_GL or the first that works, or raise InputError."""
     wanted, reasons = os.environ.get("MUJOCO_GL", "").strip().lower(), []
     for name in (wanted,) if wanted else _NAMES:
         if isinstance(result := _try(name), Backend):

@@ -1,7 +1,4 @@
-"""Scripted motions with an imaginary object in the hands or under the body.
-
-There is one for each scene of Shum et al. 2013, table II.
-"""
+"""Scripted motions with imaginary objects, for the scenes of Shum 2013, table II."""
 
 from dataclasses import replace
 from typing import NamedTuple
