@@ -199,12 +199,12 @@ def test_who_is_let_go_falls_and_the_other_stands() -> None:
 
 def test_one_who_is_not_solid_only_stands_on_the_floor() -> None:
     pair = Pair(0.9)
-    pair.people[1].solid = False
+    pair.people[1].set_solid(False)
     pair.step(30)
     pair.step(36, walk=0.025)
     assert not pair.touch()
     assert pair.people[1].external_force < 0.1  # the floor carries it
-    pair.people[1].solid = True
+    pair.people[1].set_solid(True)
     pair.step()
     assert pair.touch()
 

@@ -199,7 +199,7 @@ def pull_through(
         dt = float(stamps[k] - stamps[k - 1])
         restarts = k == 0 or dt > LONG_GAP
         for cue in cues:
-            cue.character.solid = bool(cue.solid[k])
+            cue.character.set_solid(bool(cue.solid[k]))
             if restarts or cue.appears[k]:
                 cue.character.start(*cue.target(k), reset_props=k == 0)
         stands = [cue.stands(k) for cue in cues]

@@ -360,19 +360,14 @@ class PulledCharacter:
             self.data.qpos[self._root][2] += depth
             mujoco.mj_kinematics(self.model, self.data)
 
-    @property
-    def solid(self) -> bool:
-        """Whether it touches others, itself and props, not only the floor; can be set.
+    def set_solid(self, solid: bool) -> None:
+        """Have it touch others, itself and props, or else only the floor.
 
         Has no effect on a character that is alone in its world.
         """
-        return bool(self.model.geom_contype[self._geoms].any())
-
-    @solid.setter
-    def solid(self, value: bool) -> None:
         if len(self.world.characters) > 1:
             types, like = self._collisions
-            bits = (types, like) if value else (0, like & FLOOR_BIT)
+            bits = (types, like) if solid else (0, like & FLOOR_BIT)
             self.model.geom_contype[self._geoms] = bits[0]
             self.model.geom_conaffinity[self._geoms] = bits[1]
 
