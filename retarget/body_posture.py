@@ -17,10 +17,10 @@ _EXACT = 1e-7  # m
 _RECONSTRUCTED = 0.02  # firmness, 1 of a measured joint: fifty times the move. A guess.
 # Factor on the firmness of hips, shoulders and their middles, on which all else
 # depends. This and the next two were chosen on four of six recorded people.
-_TRUNK = 10.0
+_TRUNK = 30.0
 # Resistance of a bone between measured joints to being turned, 1 of a measured joint
 # to being moved. Without it, a leg that is too short for its bones bends at the knee.
-_DIRECTION = 4.0
+_DIRECTION = 2.0
 # Ease with which all above the knees moves as one, relative to a measured joint of a
 # limb. Without it, legs that get longer push heels down, which drag.
 _TOGETHER = 0.1

@@ -49,14 +49,14 @@ def lengths_of(positions: Array, skeleton: Skeleton) -> Array:
 
 def resistance(confidence: Array) -> Array:
     """Return what moves of KINECT_V1's joints cost, shape (20, 20)."""
-    # Hips, shoulders and their middles are ten times as firm.
+    # Hips, shoulders and their middles are thirty times as firm.
     trunk = [j[:3] in ("Hip", "Sho") for j in KINECT_V1.joints]
-    firm = confidence * np.where(trunk, 10.0, 1.0) + 0.02
+    firm = confidence * np.where(trunk, 30.0, 1.0) + 0.02
     resists = np.diag(firm)
-    # Turning a bone between measured joints costs four times as much.
+    # Turning a bone between measured joints costs twice as much.
     for a, b in zip(KINECT_V1.segments, KINECT_V1.segment_parents, strict=True):
         ends = np.eye(20)[a] - np.eye(20)[b]
-        resists += 4.0 * min(1.0, firm[a], firm[b]) * np.outer(ends, ends)
+        resists += 2.0 * min(1.0, firm[a], firm[b]) * np.outer(ends, ends)
     # All above the knees moves as one with ease.
     above = [j[:4] not in ("Knee", "Ankl", "Foot") for j in KINECT_V1.joints]
     return np.linalg.inv(np.linalg.inv(resists) + 0.1 * np.outer(above, above))

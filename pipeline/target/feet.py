@@ -50,14 +50,17 @@ stand in more frames, but legs are 1 % farther from where another sensor sees th
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
-PLANTED = 480.0  # bone weight of a planted foot; a measured joint has 1
+PLANTED = 240.0  # bone weight of a planted foot; a measured joint has 1
 HELD = (12.0, 40.0)
 """Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
 late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
 of two-kinects."""
-STEPPING = 5.0
+STEPPING = 8.0
 """Least bone weight of other feet. With 3, legs that get longer push heels back down,
-which drag in 1 % of the frames of simulated walks with hips that are seen too low."""
+which drag in 3 % of the frames of simulated walks with hips that are seen too low."""
+_LOW, _HIGH = 0.2, 0.35
+"""Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
+high, on legs that are seen 15 cm too long, drew the hips along within a frame."""
 _HEEL_ERROR = 0.10  # m: a planted ankle that is higher than this has left the floor
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
@@ -298,6 +301,12 @@ def _split(
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
         _split(time, path, stands, part, drift, where)
+
+
+def stepping_weights(heights: Array) -> Array:
+    """Return the least bone weights of moving feet by their ankles' heights [m]."""
+    low = ((_HIGH - heights) / (_HIGH - _LOW)).clip(0.0, 1.0)
+    return 1.0 + low * (STEPPING - 1.0)
 
 
 def plant_feet(

@@ -21,7 +21,7 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor
-from .possible_postures import even_turns, possible_joints
+from .possible_postures import even_turns, possible_joints, possible_knees
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
@@ -293,8 +293,10 @@ class Feet(Stage):
         draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
         draft.stands = feet.planted_feet(draft.contacts)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
-        for part in feet.ankles_and_toes(draft.skeleton):
-            steps = np.maximum(weights[:, part], feet.STEPPING)
+        ankles, toes = feet.ankles_and_toes(draft.skeleton)
+        least = feet.stepping_weights(planted[:, ankles, 1])
+        for part in (ankles, toes):
+            steps = np.maximum(weights[:, part], least)
             weights[:, part] = np.where(stands, feet.PLANTED, steps)
         draft.bone_weights = weights
 
@@ -329,6 +331,8 @@ class Bones(Stage):
         """
         body, weights = draft.body, draft.bone_weights
         positions, bones = floor.put_on_floor(draft.positions, body), BoneLengths(body)
+        # A lifted foot shortens its leg, and a straight knee would bend either way.
+        positions = possible_knees(positions, body.skeleton)
         moved = bones.project(positions, weights) - positions
         # A foot that stands is not drawn along by the step before or after.
         firm = np.maximum(weights, 1.0)
@@ -336,6 +340,7 @@ class Bones(Stage):
         there = positions + moved
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
+            there = possible_knees(there, body.skeleton)
             there = floor.put_on_floor(bones.project(there, weights), body)
         draft.positions = there
 
