@@ -150,6 +150,19 @@ def test_a_bvh_target_gives_the_motion_of_the_same_skeleton(
     assert np.abs(shift[:, root]).max() < 1e-3 / export.meters_per_unit
 
 
+@every_rig
+def test_a_bvh_target_with_z_up_gives_the_same_motion_as_one_with_y_up(
+    clip: Clip, tmp_path: Path, name: str
+) -> None:
+    found = []
+    for up in ("y", "z"):
+        target, path = tmp_path / f"{up}_rest.bvh", tmp_path / f"{up}.bvh"
+        write_clip(clip, target, Export(rig=name, up=up))
+        write_clip(clip, path, Export(rig=name, target=target))
+        found.append(read_bvh(path).positions)
+    np.testing.assert_allclose(*found, atol=2e-3)
+
+
 def test_a_target_that_faces_elsewhere_faces_where_the_person_does(
     clip: Clip,
 ) -> None:

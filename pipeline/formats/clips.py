@@ -220,7 +220,7 @@ def read_rig_map(rig: str) -> RigMap:
 
 
 def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
-    """Return a BVH file's skeleton in meters, its unit guessed from the legs."""
+    """Return a BVH file's skeleton in meters, y up; the legs show its unit and axes."""
     bvh = read_bvh(path)
     joints, meters = bvh.joints, 1.0
     names = tuple(bvh.names[n] for n in joints)
@@ -228,13 +228,15 @@ def _bvh_rest(path: Path, rig_map: RigMap, body: Body) -> RestPose:
     parents = tuple(joints.index(n) if n in joints else -1 for n in above)
     plain = [rig_map.plain(name) for name in names]
     leg = [rig_map.plain(rig_map.of(f"left {p}")[0].name) for p in ("thigh", "foot")]
-    places = bvh.rest_positions
+    places, offsets = bvh.rest_positions, bvh.offsets[joints]
+    if set(leg) <= set(plain):
+        thigh, foot = (places[joints[plain.index(name)]] for name in leg)
+        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
+        if abs(foot[2] - thigh[2]) > abs(foot[1] - thigh[1]):
+            places, offsets = from_z_up(places), from_z_up(offsets)
     rest = RestPose(names, parents, places[joints], None, places[:, 1].min(), str(path))
     if rig_map.axes_in_bvh:
-        rest = _with_axes(rest, bvh.offsets[joints], rig_map, body)
-    if set(leg) <= set(plain):
-        thigh, foot = (rest.positions[plain.index(name)] for name in leg)
-        meters = meters_by_leg(float(np.linalg.norm(foot - thigh)))
+        rest = _with_axes(rest, offsets, rig_map, body)
     lowest = None if rest.lowest is None else meters * rest.lowest
     return replace(rest, positions=meters * rest.positions, lowest=lowest)
 

@@ -58,7 +58,10 @@ FORMATS: dict[str, tuple[str, Callable[[str], bool]]] = {
         # The last cell may end with a comma, too.
         lambda line: ";" not in line and len(_cells(line)) - _V2_CELLS in (0, 1),
     ),
-    "kinect-v1": ("sheets:read_kinect_v1", lambda line: ";" in line),
+    "kinect-v1": (
+        "sheets:read_kinect_v1",
+        lambda line: ";" in line and "{" not in line,
+    ),
     "msrc-12": ("sheets:read_msrc_12", lambda line: len(_words(line)) == 81),
     "msr-action3d": (
         "datasets:read_msr_action3d",
