@@ -50,7 +50,7 @@ stand in more frames, but legs are 1 % farther from where another sensor sees th
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
-PLANTED = 240.0  # bone weight of a planted foot; a measured joint has 1
+PLANTED = 960.0  # bone weight of a planted foot; a measured joint has 1
 HELD = (12.0, 40.0)
 """Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
 late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
