@@ -34,7 +34,6 @@ _SETTLED = 0.2  # last part of that, in which physics blends into the previous m
 _CONTEXT = 1.0  # beyond it, frames that smoothing and physics need as a lead-in
 _MOVED = 1e-4  # m
 _OF_TAKE = ("distrust", "exchange")  # edits that change the take itself
-_PINNED = 2.0 * PLANTED  # bone weight of a pinned joint, rather than planted feet
 _RAISED = 0.01  # m: a foot that is pinned higher has left the floor. A guess.
 _FARTHEST = 2.0  # m from where the joint is; more is hardly meant. A guess
 
@@ -217,7 +216,7 @@ def pin(draft: Draft, pins: Sequence[Edit], before: Unedited) -> None:
             top, inner, outer = np.moveaxis(positions[:, limb], 1, 0)
             there, _ = middle_joint(top, inner, outer, lengths)
             positions[:, middle] += firm * (there - positions[:, middle])
-        weights[:, j] = np.maximum(weights[:, j], _PINNED * firm[:, 0])
+        weights[:, j] = np.maximum(weights[:, j], PLANTED * firm[:, 0])
         moved = origin[frames, j] == Origin.MEASURED
         origin[np.array(frames)[moved], j] = Origin.CORRECTED
     _, toes = ankles_and_toes(skeleton)

@@ -362,8 +362,6 @@ class ReliabilityScorer:
         right = 1.0 - np.minimum(np.abs(lengths - self._lengths) / self._lengths, 1.0)
         there = np.isfinite(right)
         right[~there] = 0.0
-        if there.all():
-            return np.asarray((self._touch @ right[..., None])[..., 0] + self._free)
         share = (self._touch @ there[..., None])[..., 0]
         mean = (self._touch @ right[..., None])[..., 0] / np.maximum(share, 1e-9)
         return np.asarray(mean + self._free)

@@ -16,7 +16,8 @@ _MOST_STEPS = 40
 _EXACT = 1e-7  # m
 _RECONSTRUCTED = 0.02  # firmness, 1 of a measured joint: fifty times the move. A guess.
 # Factor on the firmness of hips, shoulders and their middles, on which all else
-# depends. This and the next two were chosen on four of six recorded people.
+# depends. This and the next two were chosen on four of six recorded people;
+# that bones do not resist twice as much was decided on all six.
 _TRUNK = 30.0
 # Resistance of a bone between measured joints to being turned, 1 of a measured joint
 # to being moved. Without it, a leg that is too short for its bones bends at the knee.

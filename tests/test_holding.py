@@ -38,7 +38,7 @@ PARCEL = """
 def reaching(apart: Array, height: Array) -> tuple[Array, Array]:
     """Return a person with hands in front of the chest, (T, J, 3) and (T, J, 4)."""
     positions = np.tile(BODY.rest_positions, (len(apart), 1, 1))
-    firm = np.full(positions.shape[:2], 50.0)
+    firm = np.ones(positions.shape[:2])
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         elbow, wrist, hand = (
             KINECT_V1.index(part + side) for part in ("Elbow", "Wrist", "Hand")
@@ -49,7 +49,7 @@ def reaching(apart: Array, height: Array) -> tuple[Array, Array]:
         positions[:, elbow] = np.stack(
             [x + sign * 0.12, height - 0.05, 0.10 + 0.0 * x], axis=1
         )
-        firm[:, elbow] = 1.0
+        firm[:, [wrist, hand]] = 50.0
     positions = BoneLengths(BODY).project(positions, firm)
     return positions, rotations_from_positions(positions, BODY)
 

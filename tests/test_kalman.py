@@ -271,7 +271,7 @@ def test_an_unreliable_outlier_moves_a_joint_far_less_than_a_reliable_one() -> N
 
 def test_the_less_certain_joint_gives_way_to_bone_lengths() -> None:
     positions = np.tile(REST, (30, 1, 1))
-    positions[:, [WRIST, HAND]] += 0.2 * (REST[WRIST] - REST[ELBOW])
+    positions[:, [WRIST, HAND]] += 0.4 * (REST[WRIST] - REST[ELBOW])
 
     def elbow_moved(rate_of_wrist: float) -> float:
         reliability = np.ones(positions.shape[:2])
@@ -281,7 +281,7 @@ def test_the_less_certain_joint_gives_way_to_bone_lengths() -> None:
         )
         return float(np.linalg.norm(result[-1, ELBOW] - REST[ELBOW]))
 
-    assert elbow_moved(1.0) > 0.0005
+    assert elbow_moved(1.0) > 0.002
     assert elbow_moved(0.2) < 0.2 * elbow_moved(1.0)
 
 

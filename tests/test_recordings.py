@@ -29,7 +29,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, Clip, Skeleton, State
 from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.config import TakeFormat
 from kinefilter.pipeline.formats import read_clip, read_recording, read_take, write_clip
-from kinefilter.pipeline.formats.takes import FORMATS
+from kinefilter.pipeline.formats.takes import FORMATS, claims_take
 from kinefilter.pipeline.lab.simulation import simulate
 
 MakeClip = Callable[..., Clip]
@@ -161,6 +161,12 @@ def test_kinefilters_own_bvh_is_a_take_of_the_same_joints(
         take.positions[:, known], clip.positions[:, known], atol=2e-6
     )
     assert take.fps == pytest.approx(clip.fps)
+
+
+def test_a_report_in_json_is_no_take_even_with_a_semicolon(tmp_path: Path) -> None:
+    report = tmp_path / "walk.json"
+    report.write_text('{\n  "notes": ["ElbowLeft was moved; check it"]\n}\n')
+    assert not claims_take(report)
 
 
 def test_every_format_is_detected_and_can_be_forced(

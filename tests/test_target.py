@@ -123,6 +123,21 @@ def test_heels_do_not_drag_while_legs_get_longer(seed: int) -> None:
     assert np.mean(down & (speed > 0.01)) < 0.01
 
 
+def test_a_high_kick_hardly_draws_the_body_along() -> None:
+    """A sensor that shows a kicking leg 15 cm too long, for a tenth of a second."""
+    act = perform("wave", BODY, seed=0)
+    path, kick = act.positions.copy(), slice(40, 43)
+    hip, knee, ankle, foot = (
+        BODY.skeleton.index(f"{j}Right") for j in ("Hip", "Knee", "Ankle", "Foot")
+    )
+    for j, reach in ((knee, 0.42), (ankle, 0.9), (foot, 1.0)):
+        path[kick, j] = path[kick, hip] + [0.0, 0.1 * reach, reach]
+    root = placed(act.time, path).posed[:, BODY.skeleton.root]
+    assert (
+        np.linalg.norm(np.diff(root, axis=0), axis=1).max() < 0.05
+    )  # m, between two frames
+
+
 def test_contacts_say_heel_and_toes_of_both_feet(kick: Motion) -> None:
     target = target_of(kick)
     assert target.contacts.shape == (len(kick), len(CONTACTS))

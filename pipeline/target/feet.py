@@ -60,7 +60,7 @@ STEPPING = 8.0
 which drag in 3 % of the frames of simulated walks with hips that are seen too low."""
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
-high, on legs that are seen 15 cm too long, drew the hips along within a frame."""
+high, on legs that are seen 15 cm too long, draw the hips along half as far."""
 _HEEL_ERROR = 0.10  # m: a planted ankle that is higher than this has left the floor
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
