@@ -24,6 +24,7 @@ _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother; a measured one has 
 # other people and seeds). On six recorded people the area under the ROC curve is 0.99.
 _BASE_ODDS = 4.0
 _PER_SPEED = 5.0  # per m/s of the ankle, also upwards: a jump lifts both ankles at once
+_FASTEST = 1.3  # m/s: a foot that is faster counts as that fast. At 1, feet of runners bear
 _PER_LIFT = 15.0  # per m of the ankle above the other
 _PER_HEIGHT = 12.0  # per m of both above what Kinect's errors in squats lift them by
 _LOWER, _HIGHER = -0.1, 0.3  # m: heights are clipped to this range
@@ -61,13 +62,13 @@ which drag in 3 % of the frames of simulated walks with hips that are seen too l
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_HEEL_ERROR = 0.10  # m: a planted ankle that is higher than this has left the floor
+_HEEL_ERROR = 0.05
+"""Height [m] of a planted ankle that has left the floor; chosen on s02 to s04 and s06."""
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
-_LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
+_LIFT_TIME = 0.07  # s to lift a foot by the clearance, and to set it down
 _SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
 _CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to slide
-_HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
-_CATCH_UP = 0.15  # s in which it then joins the measured path
+_CATCH_UP = 0.15  # s in which a foot leaves its place, over which it is lifted
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
 _STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
 
@@ -136,7 +137,7 @@ def planted_feet(contacts: Flags) -> Flags:
 
 def _odds(speed: Array, height: Array, above: Array) -> Array:
     """Return the log odds of being planted, shape (..., 2)."""
-    odds = _BASE_ODDS - _PER_SPEED * np.minimum(speed, 1.0)
+    odds = _BASE_ODDS - _PER_SPEED * np.minimum(speed, _FASTEST)
     odds -= _PER_LIFT * (height - height[..., ::-1]).clip(_LOWER, _HIGHER)
     odds -= _PER_HEIGHT * above.clip(0.0, _HIGHER)
     return np.asarray(odds)
@@ -358,7 +359,7 @@ def plant_feet(
 def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
     """Fill the steps between stances into ``joined`` [m], shape (T, 2, 3).
 
-    A step is the measured one, moved, but stays over its place when up and down.
+    A step is the measured one, moved, but slower at its ends: up before it is fast.
     """
     moves, count = joined - path, len(path)
     # Before the first stance and after the last there is only one end to fit.
@@ -372,10 +373,10 @@ def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Ar
             share = smooth_step((over - time[first - 1]) / duration)
             step = step + share * (moves[last] - leave)
         if first:
-            free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)
+            free = smooth_step((over - time[first - 1]) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[first - 1]
         if last < count:
-            free = smooth_step((time[last] - over - _HOLD) / _CATCH_UP)
+            free = smooth_step((time[last] - over) / _CATCH_UP)
             step = free * step + (1.0 - free) * joined[last]
         joined[first:last] = step
     return joined
