@@ -23,7 +23,8 @@ from .progress import Progress
 from .reconstruct.continuity import middle_joint
 from .reconstruct.windows import limbs
 from .stages import Stage
-from .target.feet import PLANTED, ankles_and_toes
+from .target.feet import ankles_and_toes
+from .target.planting import PLANTED
 from .target.target_stages import Feet
 
 # Distances from the nearest edit [s].

@@ -9,7 +9,8 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate, wrapped
-from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance, plant_feet
+from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance
+from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.pipeline.target.possible_postures import (
     hips_yaw,
     standing_direction,

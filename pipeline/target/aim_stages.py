@@ -20,7 +20,7 @@ from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import Stage
 from kinefilter.retarget import Neck, Palms
 
-from .feet import PLANTED
+from .planting import PLANTED
 from .smooth import smooth
 from .target_stages import posed
 

@@ -1,21 +1,17 @@
-"""Stance detection, and feet that stay in place while planted and are lifted to step.
+"""Stance detection.
 
 Time stamps [s] increase strictly, (T,); joint positions [m] have y up, (T, J, 3);
 confidence is (T, J); ``stands`` says whether each foot is planted, left and right,
 (T, 2).
 """
 
-from itertools import pairwise
-
 import numpy as np
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
-from kinefilter.retarget.limbs import smooth_step
 
-from .possible_postures import hips_yaw, turned_ahead, uprightness
-from .resting_foot import flat_height, resting
+from .resting_foot import flat_height
 from .smooth import smooth
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
@@ -24,7 +20,7 @@ _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother; a measured one has 
 # other people and seeds). On six recorded people the area under the ROC curve is 0.99.
 _BASE_ODDS = 4.0
 _PER_SPEED = 5.0  # per m/s of the ankle, also upwards: a jump lifts both ankles at once
-_FASTEST = 1.3  # m/s: a foot that is faster counts as that fast. At 1, feet of runners bear
+_FASTEST = 1.3  # m/s: faster feet count as that fast. With 1, those of runners bear
 _PER_LIFT = 15.0  # per m of the ankle above the other
 _PER_HEIGHT = 12.0  # per m of both above what Kinect's errors in squats lift them by
 _LOWER, _HIGHER = -0.1, 0.3  # m: heights are clipped to this range
@@ -51,26 +47,9 @@ stand in more frames, but legs are 1 % farther from where another sensor sees th
 _UNLOADING = 0.15  # s from the first rise of a foot to its leaving the floor
 _STEP = 0.4  # s: duration of such a step, and of the shortest between two stances
 
-PLANTED = 960.0  # bone weight of a planted foot; a measured joint has 1
-HELD = (12.0, 40.0)
-"""Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
-late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
-of two-kinects."""
-STEPPING = 8.0
-"""Least bone weight of other feet. With 3, legs that get longer push heels back down,
-which drag in 3 % of the frames of simulated walks with hips that are seen too low."""
-_LOW, _HIGH = 0.2, 0.35
-"""Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
-high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_HEEL_ERROR = 0.05
-"""Height [m] of a planted ankle that has left the floor; chosen on s02 to s04 and s06."""
-_HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
-_LIFT_TIME = 0.07  # s to lift a foot by the clearance, and to set it down
-_SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
-_CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to slide
-_CATCH_UP = 0.15  # s in which a foot leaves its place, over which it is lifted
-_FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
-_STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
+LIFT_TIME = 0.1  # s to lift a foot by the clearance, and to set it down
+SLIDE_SPEED = 0.15  # m/s: a foot that is faster is lifted
+CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to slide
 
 
 def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
@@ -203,8 +182,8 @@ class StanceTracker:
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
-        most = _CLEARANCE / _LIFT_TIME * dt
-        needed = np.where(~self._stands & (speed > _SLIDE_SPEED), _CLEARANCE, 0.0)
+        most = CLEARANCE / LIFT_TIME * dt
+        needed = np.where(~self._stands & (speed > SLIDE_SPEED), CLEARANCE, 0.0)
         self._lifted = self._lifted + (needed - self._lifted).clip(-most, most)
         above = np.where(self._stands, 0.0, toes[:, 1] - soles)
         return np.maximum(self._lifted - above, 0.0)
@@ -302,99 +281,3 @@ def _split(
     stands[first:last] = False
     for part in (slice(stance.start, first), slice(last, stance.stop)):
         _split(time, path, stands, part, drift, where)
-
-
-def stepping_weights(heights: Array) -> Array:
-    """Return the least bone weights of moving feet by their ankles' heights [m]."""
-    low = ((_HIGH - heights) / (_HIGH - _LOW)).clip(0.0, 1.0)
-    return 1.0 + low * (STEPPING - 1.0)
-
-
-def plant_feet(
-    time: Array,
-    positions: Array,
-    confidence: Array,
-    stands: Flags,
-    body: Body,
-    heels: Flags | None = None,
-) -> tuple[Array, Flags]:
-    """Return positions (T, J, 3) with planted feet at rest, and which heels are down.
-
-    Ankle and toes of a planted foot stay at their weighted median with the sole on the
-    floor, which is at y = 0; the heel rises only where the ankle is higher than
-    Kinect's errors lift it. A stepping foot follows the measurement, moved so that it
-    leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
-    are down where ``heels`` says so, and elsewhere as measured.
-    """
-    planted, down = positions.copy(), np.zeros_like(stands)
-    yaw = hips_yaw(positions, body.skeleton)
-    feet = zip(*ankles_and_toes(body.skeleton), strict=True)
-    for foot, (ankle, toe) in enumerate(feet):
-        still = stands[:, foot]
-        stances = runs(still)
-        if not stances:
-            continue
-        path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
-        rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
-        # A leg that the edge of the view cuts off ends higher than a heel can be.
-        most = body.radii[toe] + body.lengths[toe] - flat
-        rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
-        if heels is not None:
-            rise[heels[:, foot]] = 0.0
-        down[:, foot] = still & (rise < _HEEL_DOWN)
-        weights, joined = confidence[:, ankle], path.copy()
-        upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
-        for s in stances:
-            hips = yaw[s][upright[s] == 1.0]
-            joined[s] = resting(path[s], weights[s], rise[s], hips, body, toe)
-        path = _joined(time, path, joined, stances)
-        path[~still] = turned_ahead(path, yaw, upright)[~still]
-        path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
-        path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
-        firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
-        planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_STEP_CUTOFF)
-    return planted, down
-
-
-def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
-    """Fill the steps between stances into ``joined`` [m], shape (T, 2, 3).
-
-    A step is the measured one, moved, but slower at its ends: up before it is fast.
-    """
-    moves, count = joined - path, len(path)
-    # Before the first stance and after the last there is only one end to fit.
-    for before, after in pairwise([slice(0, 0), *stances, slice(count, count)]):
-        first, last = before.stop, after.start
-        over = time[first:last, None, None]
-        leave = moves[first - 1 if first else last]
-        step = path[first:last] + leave
-        if first and last < count:
-            duration = time[last] - time[first - 1]
-            share = smooth_step((over - time[first - 1]) / duration)
-            step = step + share * (moves[last] - leave)
-        if first:
-            free = smooth_step((over - time[first - 1]) / _CATCH_UP)
-            step = free * step + (1.0 - free) * joined[first - 1]
-        if last < count:
-            free = smooth_step((time[last] - over) / _CATCH_UP)
-            step = free * step + (1.0 - free) * joined[last]
-        joined[first:last] = step
-    return joined
-
-
-def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
-    """Return by how much to lift ankle or toes (T, 3), ``sole`` high at rest [m]."""
-    steps = np.diff(time)
-    speed = np.linalg.norm(np.diff(part[:, [0, 2]], axis=0), axis=1) / steps
-    fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
-    needed = np.where((np.maximum(*fast) > _SLIDE_SPEED) & ~stands, _CLEARANCE, 0.0)
-    # Up and down at a constant speed, which takes frames before and after.
-    slopes = _CLEARANCE / _LIFT_TIME * steps
-    edge = np.where(stands, 0.0, np.inf)
-    for way in (1, -1):
-        low, high, slope = edge[::way], needed[::way], slopes[::way]
-        for k in range(1, len(time)):
-            low[k] = min(low[k], low[k - 1] + slope[k - 1])
-            high[k] = max(high[k], high[k - 1] - slope[k - 1])
-    lift = np.maximum(np.minimum(needed, edge) - (part[:, 1] - sole), 0.0)
-    return np.where(stands, 0.0, lift)

@@ -20,7 +20,7 @@ from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths, rotations_from_positions
 
-from . import feet, floor
+from . import feet, floor, planting
 from .possible_postures import even_turns, possible_joints, possible_knees
 from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
@@ -33,7 +33,7 @@ _LANDINGS = 8  # times that joints are raised to the floor and put back on their
 _TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
 # m by which a live foot is held: where its toes are farther from their place it steps,
-# and its heel rises. Chosen, as feet.HELD, on p00, p04 and p06 of two-kinects.
+# and its heel rises. Chosen, as planting.HELD, on p00, p04 and p06 of two-kinects.
 _REACH = 0.08
 _WINDOW = 64  # frames, two seconds, after which and from which a live turn is found
 _EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is sought before that
@@ -270,7 +270,7 @@ class Feet(Stage):
         toes = positions[self._parts[:, 1]]
         lift = self._stance.lift(toes, self._heights[:, 1], elapsed)
         positions[self._parts, 1] += lift[:, None]
-        weights[self._parts[stands]] = feet.HELD
+        weights[self._parts[stands]] = planting.HELD
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
 
@@ -288,16 +288,16 @@ class Feet(Stage):
         planted, down = np.empty_like(positions), np.empty_like(stands)
         for k in parts_of(time):
             frames = time[k], positions[k], weights[k], stands[k]
-            planted[k], down[k] = feet.plant_feet(*frames, draft.body, heels[k])
+            planted[k], down[k] = planting.plant_feet(*frames, draft.body, heels[k])
         draft.positions = planted
         draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
         draft.stands = feet.planted_feet(draft.contacts)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
         ankles, toes = feet.ankles_and_toes(draft.skeleton)
-        least = feet.stepping_weights(planted[:, ankles, 1])
+        least = planting.stepping_weights(planted[:, ankles, 1])
         for part in (ankles, toes):
             steps = np.maximum(weights[:, part], least)
-            weights[:, part] = np.where(stands, feet.PLANTED, steps)
+            weights[:, part] = np.where(stands, planting.PLANTED, steps)
         draft.bone_weights = weights
 
 

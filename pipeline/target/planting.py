@@ -1,0 +1,142 @@
+"""Feet that stay in place while planted and are lifted to step.
+
+Arguments are as in ``feet``.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from kinefilter.characters import Body
+from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.retarget.limbs import smooth_step
+
+from .feet import CLEARANCE, LIFT_TIME, SLIDE_SPEED, ankles_and_toes
+from .possible_postures import hips_yaw, turned_ahead, uprightness
+from .resting_foot import flat_height, resting
+from .smooth import smooth
+
+PLANTED = 960.0  # bone weight of a planted foot; a measured joint has 1
+HELD = (12.0, 40.0)
+"""Bone weights of ankle and toes of a planted foot in live motion. Feet are let go of
+late there: firm ones drag the hips along, which then leap. Chosen on p00, p04 and p06
+of two-kinects."""
+STEPPING = 8.0
+"""Least bone weight of other feet. With 3, legs that get longer push heels back down,
+which drag in 3 % of the frames of simulated walks with hips that are seen too low."""
+_LOW, _HIGH = 0.2, 0.35
+"""Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
+high, on legs that are seen 15 cm too long, draw the hips along half as far."""
+_HEEL_ERROR = 0.07  # m: a planted ankle that is higher than this has left the floor
+_HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
+_HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
+_CATCH_UP = 0.15  # s in which it then joins the measured path
+_BEHIND = 0.05
+"""Distance [m] from the measured path up to which it does. Chosen, as ``_HEEL_ERROR``, on
+walks of CMU's people 02, 05, 07, 16 and 29 and on every fourth recorded take. Without
+it, feet rush through steps and land 20 cm early."""
+_FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
+_STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
+
+
+def stepping_weights(heights: Array) -> Array:
+    """Return the least bone weights of moving feet by their ankles' heights [m]."""
+    low = ((_HIGH - heights) / (_HIGH - _LOW)).clip(0.0, 1.0)
+    return 1.0 + low * (STEPPING - 1.0)
+
+
+def plant_feet(
+    time: Array,
+    positions: Array,
+    confidence: Array,
+    stands: Flags,
+    body: Body,
+    heels: Flags | None = None,
+) -> tuple[Array, Flags]:
+    """Return positions (T, J, 3) with planted feet at rest, and which heels are down.
+
+    Ankle and toes of a planted foot stay at their weighted median with the sole on the
+    floor, which is at y = 0; the heel rises only where the ankle is higher than
+    Kinect's errors lift it. A stepping foot follows the measurement, moved so that it
+    leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
+    are down where ``heels`` says so, and elsewhere as measured.
+    """
+    planted, down = positions.copy(), np.zeros_like(stands)
+    yaw = hips_yaw(positions, body.skeleton)
+    feet = zip(*ankles_and_toes(body.skeleton), strict=True)
+    for foot, (ankle, toe) in enumerate(feet):
+        still = stands[:, foot]
+        stances = runs(still)
+        if not stances:
+            continue
+        path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
+        rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
+        # A leg that the edge of the view cuts off ends higher than a heel can be.
+        most = body.radii[toe] + body.lengths[toe] - flat
+        rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
+        if heels is not None:
+            rise[heels[:, foot]] = 0.0
+        down[:, foot] = still & (rise < _HEEL_DOWN)
+        weights, joined = confidence[:, ankle], path.copy()
+        upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
+        for s in stances:
+            hips = yaw[s][upright[s] == 1.0]
+            joined[s] = resting(path[s], weights[s], rise[s], hips, body, toe)
+        path = _joined(time, path, joined, stances)
+        path[~still] = turned_ahead(path, yaw, upright)[~still]
+        path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
+        path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
+        firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
+        planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_STEP_CUTOFF)
+    return planted, down
+
+
+def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:
+    """Fill the steps between stances into ``joined`` [m], shape (T, 2, 3).
+
+    A step is the measured one, moved, but stays near its place when up and down.
+    """
+
+    def held(step: Array, place: Array, free: Array) -> Array:
+        away = place - step
+        far = np.linalg.norm(away[..., [0, 2]], axis=2, keepdims=True)
+        share = np.minimum(_BEHIND * (1.0 - free) / (far + 1e-9), 1.0)
+        return np.asarray(step + share * away)
+
+    moves, count = joined - path, len(path)
+    # Before the first stance and after the last there is only one end to fit.
+    for before, after in pairwise([slice(0, 0), *stances, slice(count, count)]):
+        first, last = before.stop, after.start
+        over = time[first:last, None, None]
+        leave = moves[first - 1 if first else last]
+        step = path[first:last] + leave
+        if first and last < count:
+            duration = time[last] - time[first - 1]
+            share = smooth_step((over - time[first - 1]) / duration)
+            step = step + share * (moves[last] - leave)
+        if first:
+            free = smooth_step((over - time[first - 1] - _HOLD) / _CATCH_UP)
+            step = held(step, joined[first - 1], free)
+        if last < count:
+            free = smooth_step((time[last] - over - _HOLD) / _CATCH_UP)
+            step = held(step, joined[last], free)
+        joined[first:last] = step
+    return joined
+
+
+def _lift(time: Array, part: Array, sole: float, stands: Flags) -> Array:
+    """Return by how much to lift ankle or toes (T, 3), ``sole`` high at rest [m]."""
+    steps = np.diff(time)
+    speed = np.linalg.norm(np.diff(part[:, [0, 2]], axis=0), axis=1) / steps
+    fast = np.concatenate([[0.0], speed]), np.concatenate([speed, [0.0]])
+    needed = np.where((np.maximum(*fast) > SLIDE_SPEED) & ~stands, CLEARANCE, 0.0)
+    # Up and down at a constant speed, which takes frames before and after.
+    slopes = CLEARANCE / LIFT_TIME * steps
+    edge = np.where(stands, 0.0, np.inf)
+    for way in (1, -1):
+        low, high, slope = edge[::way], needed[::way], slopes[::way]
+        for k in range(1, len(time)):
+            low[k] = min(low[k], low[k - 1] + slope[k - 1])
+            high[k] = max(high[k], high[k - 1] - slope[k - 1])
+    lift = np.maximum(np.minimum(needed, edge) - (part[:, 1] - sole), 0.0)
+    return np.where(stands, 0.0, lift)
