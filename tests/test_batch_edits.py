@@ -67,6 +67,21 @@ def test_edits_beside_a_take_are_applied_and_clean_it_again_when_they_change(
     assert (out / "a.bvh").read_bytes() == before
 
 
+def test_a_clip_beside_an_edited_take_is_passed_over_and_a_second_take_told(
+    takes: Path, out: Path
+) -> None:
+    _edit(takes / "a.csv", LAME)
+    (takes / "a.bvh").write_bytes((out / "a.bvh").read_bytes())
+    status = {row.take: row.status for row in clean_folder(takes, out).rows}
+    assert status == {"a.csv": "done", "a.bvh": "no take"}
+    (takes / "a.txt").write_bytes((takes / "a.csv").read_bytes())
+    failed = {row.take: row.error for row in clean_folder(takes, out).failed}
+    assert failed.keys() == {"a.csv", "a.txt"}
+    for error in failed.values():
+        assert "a.edits.toml: lies beside a.csv and a.txt" in error
+        assert "--" not in error
+
+
 def test_named_edits_and_people_leave_those_beside_the_take_alone(
     takes: Path, tmp_path: Path
 ) -> None:
