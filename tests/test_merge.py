@@ -299,12 +299,19 @@ def _standing(take: Take) -> Take:
     )
 
 
-def test_calibration_places_the_sensors_of_somebody_who_stands(tmp_path: Path) -> None:
-    """And is refused where a sensor was moved."""
+def test_calibration_places_the_sensors_of_somebody_who_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And is refused where a sensor was moved, or takes are in another order."""
     walked, moved = session(4), session(5, 60.0)
     paths, saved = _written(tmp_path, *walked.takes), tmp_path / "session.json"
     out = ["-o", str(tmp_path / "merged.csv")]
     assert main(["merge", *paths, *out, "--save-calibration", str(saved)]) == 0
+    turned = [*paths[::-1], *out, "--calibration", str(saved)]
+    assert main(["merge", *turned]) == 2
+    assert "first as its sensor 2 and this one as its sensor 1" in (
+        capsys.readouterr().err.replace("\n", " ")
+    )
     still = [_standing(take) for take in walked.takes]
     paths = _written(tmp_path, *still)
     assert main(["merge", *paths, *out, "--calibration", str(saved)]) == 0
