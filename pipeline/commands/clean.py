@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
+from kinefilter.pipeline.edits import edits_beside
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import timing_notes, with_frame_rate
@@ -96,6 +97,9 @@ class Clean:
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
         recordings = [settings.read(path) for path in self.takes]
+        edits, one = edits_beside(self.takes[0]), settings.body != "all"
+        if one and settings.config.edits is None and edits.exists():
+            err.print(f"kinefilter: to apply {edits}, add --edits {edits}")
         recording, numbers = recordings[0], settings.people(recordings)
         several = len(numbers) > 1
         others = (self.json, self.save_contacts, self.report)
