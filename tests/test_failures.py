@@ -359,15 +359,15 @@ def test_limbs_that_leap_were_lost() -> None:
 def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     """For as long as it is far; what is moved all the time alike is an offset."""
     body = standard_body(KINECT_V1)
-    clean = perform("bend", body, seed=0).positions
+    clean = perform("wave", body, seed=0).positions
     time, wrist = np.arange(len(clean)) / 30.0, KINECT_V1.index("WristLeft")
-    yaw = np.zeros(len(time))
     raw = clean + np.array([0.4, 0.0, 1.0])
     raw[:, KINECT_V1.index("KneeRight")] += [0.0, 0.0, 0.3]
-    assert not list(find_displaced(time, raw, clean, yaw, KINECT_V1))
+    state = np.full(raw.shape[:2], State.TRACKED)
+    assert not list(find_displaced(Take(time, raw, state, KINECT_V1), clean))
     raw[60:90, wrist] += [0.0, 0.2, 0.0]
     raw[:, KINECT_V1.index("AnkleLeft")] = np.nan
-    (found,) = find_displaced(time, raw, clean, yaw, KINECT_V1)
+    (found,) = find_displaced(Take(time, raw, state, KINECT_V1), clean)
     assert found.kind == FailureKind.DISPLACED
     assert found.part == "left arm"
     assert abs(found.first - 60) <= 8
