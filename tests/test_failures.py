@@ -381,6 +381,6 @@ def test_failures_are_told_in_seconds_since_the_first_frame() -> None:
     failure = Failure(FailureKind.LEAPING, "left arm", 30, 45, 101.0, 101.5)
     moment = replace(failure, start=107.12, end=107.14)
     (told,) = describe_failures([failure, moment], 100.0)
-    assert "(1.0 to 1.5, at 7.1 s)" in told
+    assert "(1.0 to 1.5, at 7.1 s): left to correction" in told
     (told,) = describe_failures([moment] * 7, 100.0)
     assert "at 7.1, at 7.1 s and 2 more times)" in told

@@ -57,7 +57,7 @@ class FailureKind(StrEnum):
     @property
     def done(self) -> str:
         """What cleaning does about it, in words."""
-        return _REMEDIES.get(self, "left as measured; check it")
+        return _REMEDIES.get(self, "left to correction; check it")
 
 
 _IMPOSSIBLE_BODY = (
