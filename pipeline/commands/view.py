@@ -266,7 +266,7 @@ class Render:
     reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Output: out.mp4, out.gif or frames/%05d.png; {clip} stands for the clip's
-    name."""
+    name, after its folder's if others share it."""
     look: OmitArgPrefixes[Look] = field(default_factory=Look)
     jobs: int | None = None
     """Number of rendering processes; default: one per core."""
