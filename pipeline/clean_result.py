@@ -1,7 +1,7 @@
 """What cleaning a take gives: the clip, its quality, failures, and notes on both."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -58,15 +58,19 @@ class CleanResult:
     @property
     def damage(self) -> tuple[str, ...]:
         """Long gaps and tracker failures, with times and remedies, a sentence each."""
-        begin = self.clip.time[0]
-        gaps = describe_gaps(long_gaps(self.clip.time), begin)
-        return (*gaps, *describe_failures(self.failures, begin))
+        return describe_damage(self.clip.time, self.failures)
 
     @property
     def share_outside(self) -> float:
         """Share of frames whose coverage is below 0.5, or NaN without coverage."""
         outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
         return float(np.mean(outside))
+
+
+def describe_damage(time: Array, failures: Iterable[Failure]) -> tuple[str, ...]:
+    """Return a sentence for each long gap and each kind of failure of a take."""
+    gaps = describe_gaps(long_gaps(time), time[0])
+    return (*gaps, *describe_failures(failures, time[0]))
 
 
 def result_of(
@@ -86,10 +90,6 @@ def result_of(
     measured = to_world(draft.measured, draft.tilt, draft.floor)
     moved_by_correction = distances(draft.posed, measured)
     measured[moved_by_pins(edits, draft.time, take.skeleton)] = np.nan
-    yaw = draft.heading.yaw
-    found = find_displaced(draft.time, measured, draft.posed, yaw, take.skeleton)
-    displaced = tuple(found)
-    del measured
     tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll
     raw = to_world(recorded.positions, tilt, draft.floor, roll)
     motions = {"raw": raw, "corrected": draft.posed}
@@ -97,6 +97,9 @@ def result_of(
     if draft.trace is not None:
         motions["physics"] = final = draft.positions
         force = draft.trace.external_force
+    mended = replace(recorded, positions=measured)
+    displaced = tuple(find_displaced(mended, final))
+    del measured, mended
     stages = {
         name: measure(draft.time, positions, raw, draft.body, draft.stands)
         for name, positions in motions.items()

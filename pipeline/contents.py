@@ -222,13 +222,12 @@ def _of_calibration(path: Path) -> dict[str, Any]:
 
 
 def _of_mocap(mocap: Mocap) -> dict[str, Any]:
-    time = np.arange(len(mocap.positions), dtype=np.float64) * mocap.frame_time
     contents = {
         "kind": "mocap",
         "format": Path(mocap.source.removesuffix(".gz")).suffix[1:].lower(),
         "joints": len(mocap.names),
         "names": list(mocap.names),
-        **_timing(time),
+        **_timing(mocap.stamps),
     }
     try:
         motion = kinect_motion(mocap, KINECT_V1, RIGS)

@@ -1,4 +1,4 @@
-"""Edits beside the takes of a batch, and cleaning a take of it again with them."""
+"""Edits beside takes, mostly of a batch, and cleaning a take of it again with them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from kinefilter import CleanConfig, InputError
 from kinefilter.pipeline.batch.manifest import Row, open_manifest, read_rows
 from kinefilter.pipeline.batch.store import store_at
 from kinefilter.pipeline.batch.task import clean_again, find_takes
+from kinefilter.pipeline.cli import main
 from kinefilter.pipeline.edits import Edit, edits_text
 from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.export import Export
@@ -65,6 +66,21 @@ def test_edits_beside_a_take_are_applied_and_clean_it_again_when_they_change(
     (takes / "a.edits.toml").unlink()
     assert [row.take for row in clean_folder(takes, out).rows] == ["a.csv"]
     assert (out / "a.bvh").read_bytes() == before
+
+
+def test_a_clip_beside_an_edited_take_is_passed_over_and_a_second_take_told(
+    takes: Path, out: Path
+) -> None:
+    _edit(takes / "a.csv", LAME)
+    (takes / "a.bvh").write_bytes((out / "a.bvh").read_bytes())
+    status = {row.take: row.status for row in clean_folder(takes, out).rows}
+    assert status == {"a.csv": "done", "a.bvh": "no take"}
+    (takes / "a.txt").write_bytes((takes / "a.csv").read_bytes())
+    failed = {row.take: row.error for row in clean_folder(takes, out).failed}
+    assert failed.keys() == {"a.csv", "a.txt"}
+    for error in failed.values():
+        assert "a.edits.toml: lies beside a.csv and a.txt" in error
+        assert "--" not in error
 
 
 def test_named_edits_and_people_leave_those_beside_the_take_alone(
@@ -146,6 +162,17 @@ def test_a_session_is_cleaned_again_with_the_edits_beside_its_first_take(
     done = clean_again(row, out, find_takes(row, [takes]))
     assert f"edited: {LAME.summary}" in done.clips[0].notes
     assert clean_folder(takes, out, settings).rows == []
+
+
+def test_clean_does_not_pass_over_edits_beside_the_take_in_silence(
+    takes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _edit(takes / "a.csv", LAME)
+    edits = str(takes / "a.edits.toml")
+    command = ["clean", str(takes / "a.csv"), "-o", str(takes / "a.npz")]
+    for words, told in (([], True), (["--edits", edits], False)):
+        assert main([*command, *words, "--method", "none", "--no-physics"]) == 0
+        assert (f"add --edits {edits}" in capsys.readouterr().err) == told
 
 
 def _other_take(takes: Path, _: Path) -> None:

@@ -29,6 +29,7 @@ from kinefilter.pipeline.formats import write_take_csv
 from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.look.comparison import read_comparison
+from kinefilter.pipeline.metrics import METRICS
 
 CLIP = ClipRow("a.bvh", "1", "", 1, 9, 0.3, 2.0, 1.0, None, None, None, 0, ())
 
@@ -281,7 +282,9 @@ def test_rows_without_damage_are_still_read() -> None:
 
 def test_worst_takes_are_told_without_their_figures() -> None:
     row = Row("a", "done", "a.bvh", "1", clips=(replace(CLIP, jitter=None),))
-    assert "worst take" in _printed(Outcome(rows=[row]))
+    told = " ".join(_printed(Outcome(rows=[row])).split())
+    assert "worst take" in told
+    assert METRICS["skate_mm_per_frame"] in told  # in the words of report
 
 
 def _printed(outcome: Outcome) -> str:

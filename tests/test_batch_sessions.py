@@ -337,7 +337,7 @@ def test_a_calibration_of_sensors_that_were_moved_fails_only_their_session(
     made = _made(clean_folder(takes, tmp_path / "clips", settings))
     assert made["walk"].status == "done"
     assert "30 degrees" in made["moved"].error
-    assert "give that, or leave --calibration out" in made["moved"].error
+    assert "a sensor was moved; leave --calibration out" in made["moved"].error
     alone = replace(settings, sessions=None, sensors=())
     with pytest.raises(InputError, match=r"places\.json: requires --sessions"):
         clean_folder(takes, tmp_path / "others", alone)

@@ -359,15 +359,15 @@ def test_limbs_that_leap_were_lost() -> None:
 def test_a_limb_that_cleaning_moves_far_is_told() -> None:
     """For as long as it is far; what is moved all the time alike is an offset."""
     body = standard_body(KINECT_V1)
-    clean = perform("bend", body, seed=0).positions
+    clean = perform("wave", body, seed=0).positions
     time, wrist = np.arange(len(clean)) / 30.0, KINECT_V1.index("WristLeft")
-    yaw = np.zeros(len(time))
     raw = clean + np.array([0.4, 0.0, 1.0])
     raw[:, KINECT_V1.index("KneeRight")] += [0.0, 0.0, 0.3]
-    assert not list(find_displaced(time, raw, clean, yaw, KINECT_V1))
+    state = np.full(raw.shape[:2], State.TRACKED)
+    assert not list(find_displaced(Take(time, raw, state, KINECT_V1), clean))
     raw[60:90, wrist] += [0.0, 0.2, 0.0]
     raw[:, KINECT_V1.index("AnkleLeft")] = np.nan
-    (found,) = find_displaced(time, raw, clean, yaw, KINECT_V1)
+    (found,) = find_displaced(Take(time, raw, state, KINECT_V1), clean)
     assert found.kind == FailureKind.DISPLACED
     assert found.part == "left arm"
     assert abs(found.first - 60) <= 8
@@ -381,6 +381,6 @@ def test_failures_are_told_in_seconds_since_the_first_frame() -> None:
     failure = Failure(FailureKind.LEAPING, "left arm", 30, 45, 101.0, 101.5)
     moment = replace(failure, start=107.12, end=107.14)
     (told,) = describe_failures([failure, moment], 100.0)
-    assert "(1.0 to 1.5, at 7.1 s)" in told
+    assert "(1.0 to 1.5, at 7.1 s): left to correction" in told
     (told,) = describe_failures([moment] * 7, 100.0)
     assert "at 7.1, at 7.1 s and 2 more times)" in told

@@ -100,9 +100,12 @@ def test_without_blender_nothing_is_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("KINEFILTER_BLENDER", raising=False)
     out = tmp_path / "clip.fbx"
-    with pytest.raises(InputError, match=r"blender\.org.*--blender, or write \.glb"):
+    with pytest.raises(InputError, match=r"blender\.org.*--blender.*, or write \.glb"):
         check_writable(out, Export())
+    monkeypatch.setenv("KINEFILTER_BLENDER", sys.executable)
+    check_writable(out, Export())
     flags = ["--blender", str(tmp_path / "blender")]
     assert main(["clean", str(SAMPLE), "-o", str(out), *flags]) == 2
     assert "no such program" in capsys.readouterr().err

@@ -174,6 +174,10 @@ def test_dropped_and_repeated_frames_get_their_places_at_an_even_rate() -> None:
     time[50] = time[49]
     ragged = Take(time, take.positions[kept], take.state[kept], KINECT_V1, "k")
     pair = one(ragged, mocap).pair
+    rows = np.delete(np.arange(len(mocap.positions)), slice(200, 240))
+    fewer = replace(mocap, positions=mocap.positions[rows], time=0.01 * rows)
+    apart = np.linalg.norm(one(ragged, fewer).pair.truth - pair.truth, axis=2)
+    assert np.nanmax(apart) < 0.02
     assert len(pair.take) == len(take)
     assert np.isnan(pair.take.positions[50:57]).all()
     assert np.isnan(pair.truth[50:57]).all()

@@ -276,7 +276,12 @@ def test_several_clips_get_a_name_each(
     pictures = tmp_path / "{clip}" / "{clip}-%d.png"
     assert output_paths(odd, pictures) == [tmp_path / "5%d" / "5%%d-%d.png"]
     with pytest.raises(InputError, match="one file"):
-        output_paths([Path("a/walk.npz"), Path("b/walk.npz")], tmp_path / out)
+        output_paths([Path("a/walk.npz"), Path("a/walk.glb")], tmp_path / out)
+    clips = [Path("a/walk.npz"), Path("b/walk.npz")]
+    paths = [
+        path.replace("walk", "a-walk").replace("run", "b-walk") for path in expected
+    ]
+    assert output_paths(clips, tmp_path / out) == [tmp_path / path for path in paths]
 
 
 def test_parts_are_the_same_however_they_are_shared() -> None:

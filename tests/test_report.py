@@ -169,14 +169,18 @@ def test_repeated_time_stamps_count_once(make_pair: MakePair) -> None:
     assert found.after == pytest.approx(once.after, rel=1e-9, nan_ok=True)
 
 
-def test_the_metrics_are_those_that_clean_printed() -> None:
+def test_metrics_and_damage_are_those_that_clean_printed() -> None:
     take = read_take(SAMPLE)
+    positions = take.positions.copy()
+    positions[100:200, take.skeleton.index("AnkleRight")] += [0.12, 0.08, 0.0]
+    take = replace(take, positions=positions)
     result = clean(take)
     found = compare(result.clip, take)
     for figures, stage in ((found.before, "raw"), (found.after, "physics")):
         for name in METRICS.keys() - {"skate"}:
             expected = getattr(result.stages[stage], name)
             assert figures[name] == pytest.approx(expected, nan_ok=True), name
+    assert found.damage == result.damage != ()
     assert found.after["jitter"] < 0.2 * found.before["jitter"]
     assert found.after["skate"] == 1e-3 * found.after["skate_mm_per_frame"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,10 @@ def test_missing_rows_are_a_gap_and_a_wrong_rate_is_refused(tmp_path: Path) -> N
     fewer = write_text(tmp_path / "b.trc", "\n".join(lines[:9] + lines[12:]))
     frames = np.delete(np.arange(len(mocap.positions)), [3, 4, 5])
     np.testing.assert_allclose(read_take(fewer).time, frames / 30, atol=1e-4)
+    markers = replace(mocap, names=tuple(f"m{k}" for k in range(len(mocap.names))))
+    bare = write_trc(tmp_path / "m.trc", markers).read_text().splitlines()
+    told = contents_of(write_text(tmp_path / "m.trc", "\n".join(bare[:9] + bare[12:])))
+    assert told["seconds"] == pytest.approx(frames[-1] / 30, abs=1e-4)
     lines[2] = lines[2].replace("30\t30", "60\t60", 1)
     wrong = write_text(tmp_path / "c.trc", "\n".join(lines))
     with pytest.raises(InputError, match=r"says 60 frames/s, the column Time 30"):

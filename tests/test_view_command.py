@@ -141,6 +141,7 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
     for arguments, words in (
         ([str(tmp_path / "absent.npz")], "no such file"),
         ([str(tmp_path / "absent.csv")], "no such file"),
+        ([str(tmp_path / "absent"), "--take", take], "no such file"),
         ([str(tmp_path)], "no manifest.jsonl"),
         ([clip, "--method", "none"], "cleaning options are for takes"),
         ([take, "--take", take], "requires a clip"),

@@ -51,7 +51,7 @@ class ClipRow:
     motion_seconds: float
     jitter_raw: float | None  # of the take [m/s^3], see Quality
     jitter: float | None  # of the clip [m/s^3]
-    skate_mm_per_frame: float | None  # mean slide of planted feet
+    skate_mm_per_frame: float | None  # mean, see Quality
     external_force_body_weights: float | None  # mean, see Clip.external_force
     share_outside_database: float | None  # of frames, with postures not in the database
     failures: int  # tracker failures, including displaced limbs

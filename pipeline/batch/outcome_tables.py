@@ -6,6 +6,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from kinefilter.pipeline.formats.plain import counted
+from kinefilter.pipeline.metrics import METRICS
 
 from .manifest import ClipRow, Row
 from .run import Outcome
@@ -103,8 +104,9 @@ def _worst_table(worst: Sequence[tuple[Row, ClipRow]]) -> Table:
     for name in _FIGURES:
         table.add_column(name, no_wrap=True, justify="right")
     table.caption = (
-        "external force in body weights; frames outside the database; slide of planted "
-        "feet in mm per frame; jitter relative to the raw take; tracker failures"
+        "external force in body weights; frames outside the database; "
+        f"{METRICS['skate_mm_per_frame']}; jitter relative to the raw take; tracker "
+        "failures"
     )
     for row, clip in worst:
         table.add_row(*figures_of(row, clip).values())

@@ -171,6 +171,7 @@ class Job:
     output: str  # path of the clip there, without the number of a person or part
     fingerprint: str  # of the settings
     take_timeout: float | None = None  # s; by default it depends on the size
+    error: str = ""  # why it cannot be cleaned
 
     @property
     def limit(self) -> float:
@@ -206,7 +207,8 @@ class Job:
         Files are unchanged if size and time are the same, or else their bytes. Thus
         unchanged files are not read again, and copied folders not cleaned again.
         """
-        if row.status == "failed" or row.settings != self.fingerprint:
+        failed = row.status == "failed" or bool(self.error)
+        if failed or row.settings != self.fingerprint:
             return False
         try:
             hashes = (source.store.sha256(source.file.name) for source in self.sources)
@@ -236,8 +238,8 @@ def plan_jobs(
     from the searched one down to the take's, except for those ``given`` by the user. A
     session uses the settings of its first take, and the edits beside that
     (``with_edits``). Clips end in ``suffix``, such as ``.usdc``. Raises InputError if a
-    settings file is wrong, one take's contacts or edits would apply to several takes, a
-    pattern of sessions matches no take, or a clip would overwrite a take.
+    settings file is wrong, contacts or edits given for one take would apply to several,
+    a pattern of sessions matches no take, or a clip would overwrite a take.
     """
 
     @cache
@@ -272,7 +274,7 @@ def plan_jobs(
     hashed = cache(partial(fingerprint, suffix=suffix))
     pairs = zip(named, names, strict=True)
     jobs = [Job(*s, out, n, hashed(s.settings), take_timeout) for s, n in pairs]
-    _check_one_person_each(jobs)
+    jobs = _with_one_person_each(jobs)
     places, root = {source.place for source in sources}, canonical(out.root)
     for job in jobs:
         if f"{root}/{job.output}" in places:
@@ -318,8 +320,10 @@ def _check(settings: Settings, out: Store, suffix: str) -> None:
         read_calibration(settings.calibration)
 
 
-def _check_one_person_each(jobs: Iterable[Job]) -> None:
-    takes: dict[tuple[str, Path], str] = {}
+def _with_one_person_each(jobs: Sequence[Job]) -> list[Job]:
+    """Return jobs, with an error for takes beside the same edits."""
+    takes: dict[tuple[str, Path], list[str]] = {}
+    shared: dict[str, str] = {}
     for job in jobs:
         settings, source = job.settings, job.sources[0]
         config = settings.config
@@ -336,11 +340,17 @@ def _check_one_person_each(jobs: Iterable[Job]) -> None:
         for flag, file in files:
             if settings.body == "all":
                 raise InputError(f"{flag} {file}: is for one person; give --body N")
-            if (flag, file) in takes:
+            users = takes.setdefault((flag, file), [])
+            users.append(job.take)
+            if len(users) > 1 and file == _beside(source):
+                why = f"{file}: lies beside {' and '.join(users)}, but is for one take"
+                error = f"{why}; move it and its take into a folder of their own"
+                shared |= dict.fromkeys(users, error)
+            elif len(users) > 1:
                 raise InputError(
                     f"{flag} {file}: is for one take, not for both "
-                    f"{takes[flag, file]} and {job.take}; move the take it belongs to "
+                    f"{users[0]} and {job.take}; move the take it belongs to "
                     "into a folder of its own with a kinefilter.toml that names it, or "
                     "use 'kinefilter clean'"
                 )
-            takes[flag, file] = job.take
+    return [replace(job, error=shared.get(job.take, "")) for job in jobs]

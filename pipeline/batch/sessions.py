@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from kinefilter.characters import InputError
 from kinefilter.pipeline.config import TakeFormat
+from kinefilter.pipeline.formats.files import beginning
 from kinefilter.pipeline.formats.plain import printable
 from kinefilter.pipeline.formats.takes import claims_take
 from kinefilter.pipeline.settings import Settings
@@ -21,6 +22,8 @@ from kinefilter.pipeline.settings import Settings
 from .store import Store, StoredFile
 
 _TAKES_ONLY = (".skeleton", ".bvh")  # extensions that nothing else uses
+_CLIP = re.compile(r"ROOT (HipCenter|SpineBase)\s.*Pivot\s", re.DOTALL)
+"""How our own BVH begins, on the skeleton of a take."""
 _WILDCARDS = {"{name}": "(?P<name>[^/]+)", "*": "[^/]*", "?": "[^/]"}
 
 
@@ -35,14 +38,17 @@ class Source:
     named: bool  # True if the user named this file, so that it must be a take
 
     def is_take(self, path: Path, layout: TakeFormat | None) -> bool:
-        """Return True if the file is a take, even a broken one.
+        """Return True if the file is a take, even a broken one, but not our own clip.
 
         The file or a copy of it is read from ``path``; a ``layout`` given by the user
         makes every file a take. Raises InputError if the file cannot be read.
         """
         name = self.file.name.lower().removesuffix(".gz")
-        certain = self.named or layout is not None or name.endswith(_TAKES_ONLY)
-        return certain or claims_take(path)
+        if self.named or layout is not None:
+            return True
+        if name.endswith(".bvh") and _CLIP.search(beginning(path, 1000)):
+            return False
+        return name.endswith(_TAKES_ONLY) or claims_take(path)
 
 
 class Session(NamedTuple):

@@ -42,6 +42,8 @@ def clean_file(job: Job) -> Row:
     row: dict[str, Any] = {"status": "done"}
     with one_thread():
         try:
+            if job.error:
+                raise InputError(job.error)
             _check_same(job.settings, PurePosixPath(job.output).suffix, job.fingerprint)
             read = [_read(source, job.settings) for source in job.sources]
             row["sha256"] = " ".join(sha256 for _, sha256 in read)

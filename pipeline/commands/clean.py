@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, arg
 
 from kinefilter.characters import InputError
 from kinefilter.characters.gaps import parts_of
+from kinefilter.pipeline.edits import edits_beside
 from kinefilter.pipeline.formats import Recording, check_writable, write_contacts
 from kinefilter.pipeline.formats.clips import write_clip, write_people
 from kinefilter.pipeline.formats.export import timing_notes, with_frame_rate
@@ -96,6 +97,9 @@ class Clean:
         used = [*self.takes, self.config_file, *settings.files]
         self._check(used)
         recordings = [settings.read(path) for path in self.takes]
+        edits, one = edits_beside(self.takes[0]), settings.body != "all"
+        if one and settings.config.edits is None and edits.exists():
+            err.print(f"kinefilter: to apply {edits}, add --edits {edits}")
         recording, numbers = recordings[0], settings.people(recordings)
         several = len(numbers) > 1
         others = (self.json, self.save_contacts, self.report)
@@ -200,16 +204,16 @@ class Clean:
 class Batch:
     """Clean all takes in folders; run it again to resume.
 
-    Files that are not takes are skipped, and so are links to folders, which can be
-    given as folders of their own. OUT/manifest.jsonl (at a URL: OUT/manifest/*.jsonl)
-    gets a line for each finished take; OUT/manifest.csv is the table of them. Takes
-    that are no longer given keep their clips and rows: OUT may be the folder of several
-    batches. A take is cleaned again if it failed, if its clip is missing, or if
-    anything changed: the take, its clip, the options, a database or model, or
-    kinefilter's version. A file kinefilter.toml in a folder holds options for the takes
-    in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz"; options on
-    the command line override it. Edits that 'kinefilter view' saved beside a take, as
-    NAME.edits.toml, are applied, unless --edits names others or --body is all.
+    Files that are not takes are skipped, and so are .bvh clips from kinefilter and
+    links to folders, which can be given as folders of their own. OUT/manifest.jsonl (at
+    a URL: OUT/manifest/*.jsonl) gets a line for each finished take; OUT/manifest.csv is
+    the table of them. Takes that are no longer given keep their clips and rows: OUT may
+    be the folder of several batches. A take is cleaned again if it failed, if its clip
+    is missing, or if anything changed: the take, its clip, the options, a database or
+    model, or kinefilter's version. A file kinefilter.toml in a folder holds options for
+    the takes in it and its subfolders, such as cutoff = 4.0 or rotation-order = "xyz";
+    options on the command line override it. Edits that 'kinefilter view' saved beside a
+    take, as NAME.edits.toml, are applied, unless --edits names others or --body is all.
 
     With --sessions '{name}_{sensor}.csv*', takes whose names differ only in {sensor}
     are treated as simultaneous: they become one clip, NAME, as with 'kinefilter clean A

@@ -18,6 +18,7 @@ from kinefilter.pipeline.edits import Edit, EditsFile, edits_beside
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
+from kinefilter.pipeline.formats.files import check_file
 from kinefilter.pipeline.look.drawing import Drawing, read_finite_clip
 from kinefilter.pipeline.look.options import Look
 from kinefilter.pipeline.progress import Progress
@@ -169,6 +170,8 @@ class View:
         return self.config.edits or edits_beside(self.motion[0])
 
     def _check(self) -> None:
+        for path in self.motion:
+            check_file(path)
         config, takes = replace(self.config, edits=None), self.take or self.motion
         files = (config.database, config.model, config.contacts)
         used = (*files, self.calibration, self.other)
@@ -263,7 +266,7 @@ class Render:
     reliability."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Output: out.mp4, out.gif or frames/%05d.png; {clip} stands for the clip's
-    name."""
+    name, after its folder's if others share it."""
     look: OmitArgPrefixes[Look] = field(default_factory=Look)
     jobs: int | None = None
     """Number of rendering processes; default: one per core."""

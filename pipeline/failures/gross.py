@@ -9,13 +9,13 @@ from enum import StrEnum
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.plain import times_told
-from kinefilter.retarget import HeadingFrame
+from kinefilter.retarget import HeadingFrame, find_yaw
 
 from . import bodies
 from .limb_failures import (
@@ -57,7 +57,7 @@ class FailureKind(StrEnum):
     @property
     def done(self) -> str:
         """What cleaning does about it, in words."""
-        return _REMEDIES.get(self, "left as measured; check it")
+        return _REMEDIES.get(self, "left to correction; check it")
 
 
 _IMPOSSIBLE_BODY = (
@@ -110,10 +110,11 @@ class Failure:
 def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, ...]:
     """Return a sentence for each kind of failure and part: when, and the remedy.
 
-    Times are relative to ``begin``, the time stamp of the first frame [s].
+    The earliest come first. Times are relative to ``begin``, the time stamp of the
+    first frame [s].
     """
     groups: dict[tuple[str, FailureKind], list[tuple[float, float]]] = {}
-    for f in failures:
+    for f in sorted(failures, key=lambda failure: failure.first):
         groups.setdefault((f.part, f.kind), []).append((f.start - begin, f.end - begin))
     return tuple(
         f"{part} {kind} ({times_told(times)}): {kind.done}"
@@ -236,17 +237,16 @@ def _limbs_put_back(take: Take, failures: Iterable[Failure]) -> Take:
     return take
 
 
-def find_displaced(
-    time: Array, raw: Array, clean: Array, yaw: Array, skeleton: Skeleton
-) -> Iterator[Failure]:
+def find_displaced(take: Take, clean: Array) -> Iterator[Failure]:
     """Yield the stretches in which cleaning moved a limb far relative to the hips.
 
-    How far a joint is moved tells wrong joints better than any reliability does.
-    Positions [m] (T, J, 3) are those of the sensor, NaN where missing, and those after
-    cleaning; time stamps [s] (T,) increase strictly, and ``yaw`` (T,) is the heading.
+    How far a joint is moved tells wrong joints better than any reliability does. The
+    take has strictly increasing time stamps, its failures repaired, and the frame of
+    the joints after cleaning [m] (T, J, 3).
     """
+    time, raw, skeleton = take.time, take.positions, take.skeleton
     hips = (clean[:, skeleton.hips] - raw[:, skeleton.hips]).mean(axis=1, keepdims=True)
-    heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
+    heading = HeadingFrame(np.zeros((len(time), 3)), find_yaw(clean, skeleton))
     frames, parts = max(round(_WINDOW / nominal_step(time)), 1), parts_of(time)
     for side in SIDES:
         for limb, (_, *ends) in LIMBS.items():

@@ -115,7 +115,7 @@ class Export:
     and units remain those of --up and --units."""
     blender: str | None = None
     """Blender (4.2 or later) that writes FBX, or a Python that has its bpy module. By
-    default it is the blender on the PATH."""
+    default it is $KINEFILTER_BLENDER, or the blender on the PATH."""
 
     def __post_init__(self) -> None:
         check_fields(self)

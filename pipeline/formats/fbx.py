@@ -26,15 +26,17 @@ _SCRIPT = Path(__file__).with_name("blender_fbx.py")
 def blender_command(blender: str | None) -> list[str]:
     """Return the command that runs the FBX script in Blender, or in a Python with bpy.
 
-    By default it is the Blender on the PATH. Raises InputError if there is none.
+    By default it is that of KINEFILTER_BLENDER, or the one on the PATH. Raises
+    InputError if there is none.
     """
+    blender = blender or os.environ.get("KINEFILTER_BLENDER")
     program = shutil.which(blender or "blender")
     if program is None:
-        where = f"--blender {blender}: no such program" if blender else "no Blender"
+        where = f"{blender}: no such program" if blender else "no Blender"
         raise InputError(
             f"{where}; FBX is written by Blender: install it from blender.org (or bpy "
-            "in a Python environment of its own) and give its program with --blender, "
-            "or write .glb"
+            "in a Python environment of its own) and give its program with --blender "
+            "or in KINEFILTER_BLENDER, or write .glb"
         )
     if Path(program).name.lower().startswith("python"):
         return [program, "-P", str(_SCRIPT), "--"]
@@ -81,7 +83,7 @@ def _run(command: list[str], timeout: float, path: AnyPath) -> list[str]:
         raise InputError(f"{path}: Blender ({command[0]}) {wrong}") from None
     except OSError as error:
         reason = f"cannot be run ({error.strerror})"
-        raise InputError(f"--blender {command[0]}: {reason}") from None
+        raise InputError(f"Blender ({command[0]}) {reason}") from None
     finally:
         os.close(standard_input)
         os.close(held_open)

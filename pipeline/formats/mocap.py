@@ -121,9 +121,7 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
     _, missing = matching_source_rig(mocap.bare_names, skeletons[0], ())
     skeleton = skeletons[1] if missing else skeletons[0]
     positions, motion, notes = kinect_joints(mocap, skeleton, rigs)
-    time = mocap.time if time is None else time
-    if time is None:
-        time = np.arange(len(positions), dtype=np.float64) * mocap.frame_time
+    time = mocap.stamps if time is None else time
     takes, others = takes_of_rows(time, positions, motion.state, skeleton, mocap.source)
     recording = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
     return recording if motion.rig == skeleton.name else not_by_kinect(recording)

@@ -331,6 +331,13 @@ class Mocap:
     time: Array | None = None  # of the frames [s], shape (T,), if they are uneven
 
     @property
+    def stamps(self) -> Array:
+        """Time of each frame [s], shape (T,)."""
+        if self.time is not None:
+            return self.time
+        return np.arange(len(self.positions), dtype=np.float64) * self.frame_time
+
+    @property
     def bare_names(self) -> list[str]:
         """Names of the joints without a prefix for the subject or rig."""
         return [name.rpartition(":")[2].strip() for name in self.names]

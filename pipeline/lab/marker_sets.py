@@ -7,7 +7,7 @@ format. Mocap that contains joints, such as BVH and AMC, needs no table.
 import os
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +125,8 @@ def joint_centers(
             f"{mocap.source}: in no unit of length are these the bones of a person; "
             "export the file in meters or millimeters"
         )
-    return Mocap(skeleton.joints, meters * joints, None, mocap.frame_time, mocap.source)
+    bare = replace(mocap, rotations=None, confidence=None)
+    return replace(bare, names=skeleton.joints, positions=meters * joints)
 
 
 def _joints(

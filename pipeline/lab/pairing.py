@@ -142,7 +142,7 @@ def _check_alike(takes: Sequence[Take]) -> None:
 def _match(clip: str, take: Take, joints: Mocap, least: float) -> _Match:
     both = f"{take.source} and {joints.source}"
     skeleton, notes = take.skeleton, []
-    time = np.arange(len(joints.positions), dtype=np.float64) * joints.frame_time
+    time = joints.stamps
     changed = changed_bones(joints.positions, skeleton)
     positions = np.where(changed[..., None], np.nan, joints.positions)
     if changed.any():

@@ -93,7 +93,7 @@ def mocap_act(path: Path, skeleton: Skeleton, fps: float) -> Motion:
     positions = kinect_motion(mocap, skeleton, RIGS).positions
     unit, body = mocap_body(positions, skeleton)
     whole = whole_frames(positions)
-    stamps = mocap.frame_time * np.flatnonzero(whole)
+    stamps = mocap.stamps[whole]
     if len(stamps) < 2:
         raise InputError(
             f"{path}: fewer than two frames have all joints; give mocap of whole bodies"

@@ -12,18 +12,13 @@ from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import distinct_stamps, nearest_frames
-from kinefilter.pipeline.failures import (
-    describe_failures,
-    find_displaced,
-    find_failures,
-    unmirrored,
-)
+from kinefilter.pipeline.clean_result import describe_damage
+from kinefilter.pipeline.failures import find_displaced, find_failures, repaired
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
 from kinefilter.pipeline.target.floor import in_world, leveled, to_world
-from kinefilter.retarget import find_yaw
 
 from .drawing import Drawing, read_finite_clip, sensors_of
 
@@ -115,12 +110,10 @@ def _damage(clip: Clip, raw: Array, distinct: Flags, *, fused: bool) -> tuple[st
     time, state, skeleton = clip.time[distinct], clip.state[distinct], clip.skeleton
     take = Take(time, raw[distinct], state, skeleton, clip.source)
     # Fusion has corrected gross failures of single sensors.
-    failures, positions = () if fused else find_failures(take), clip.positions[distinct]
-    mended = unmirrored(take, failures).positions
-    yaw = find_yaw(positions, skeleton)
-    displaced = find_displaced(time, mended, positions, yaw, skeleton)
-    sentences = describe_failures([*failures, *displaced], time[0])
-    return (*describe_gaps(long_gaps(time), time[0]), *sentences)
+    failures = () if fused else find_failures(take)
+    mended = take if fused else repaired(take, failures)
+    displaced = find_displaced(mended, clip.positions[distinct])
+    return describe_damage(time, (*failures, *displaced))
 
 
 def same_times(other: Clip, clip: Clip, path: Path) -> Clip:

@@ -201,9 +201,9 @@ def _write(
 def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
     """Return the file, or pattern of numbered pictures, of each clip.
 
-    ``{clip}`` stands for the clip's name. With several clips and no ``{clip}``, the
-    clip's name is added before the extension, or as a folder of numbered pictures.
-    Raises an InputError for invalid names.
+    ``{clip}`` stands for the clip's name, after its folder's if others share it. With
+    several clips and no ``{clip}``, that is added before the extension, or as a folder
+    of numbered pictures. Raises an InputError for invalid names.
     """
     if out.suffix.lower() not in _EXTENSIONS:
         raise InputError(
@@ -217,6 +217,8 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         added = f"{_CLIP}/{out.name}" if numbered else f"{out.stem}.{_CLIP}{out.suffix}"
         out = out.parent / added
     stems = [c.name.removesuffix(".gz").rpartition(".")[0] or c.name for c in clips]
+    counts, pairs = Counter(stems), zip(clips, stems, strict=True)
+    stems = [f"{c.absolute().parent.name}-" * (counts[s] > 1) + s for c, s in pairs]
     sign = "%%" if numbered else "%"  # in a name that is a pattern
     names = [out.name.replace(_CLIP, stem.replace("%", sign)) for stem in stems]
     folders = [str(out.parent).replace(_CLIP, stem) for stem in stems]
@@ -225,7 +227,7 @@ def output_paths(clips: Sequence[Path], out: Path) -> list[Path]:
         same = [str(c) for c, path in zip(clips, paths, strict=True) if path in twice]
         raise InputError(
             f"{', '.join(same)}: would be drawn to one file, {twice[0]}; draw clips "
-            "with the same name one at a time"
+            "of one folder with the same name one at a time"
         )
     for path in paths:
         check_folder(path)

@@ -7,7 +7,7 @@ the frame of the first sensor, everyone's tracks are then assigned to people at 
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,9 +49,8 @@ def find_person(
     people = [_score_people(recording) for recording in recordings]
     first, alignments = people[0][0][0], []
     for k, others in enumerate(people[1:]):
-        known = calibration[k] if calibration else None
         firsts, seconds = ([take for take, _ in some] for some in (people[0], others))
-        found = _align_people(firsts, seconds, known, chosen)
+        found = _align_people(firsts, seconds, calibration, k, chosen)
         begin, end = found.clock.inverse(seconds[0].time[[0, -1]])
         if not (begin < first.time[-1] and end > first.time[0]):
             raise InputError(
@@ -92,9 +91,16 @@ def _score(take: Take) -> tuple[Take, Array]:
 
 
 def _align_people(
-    first: Sequence[Take], second: Sequence[Take], known: Alignment | None, chosen: Take
+    first: Sequence[Take],
+    second: Sequence[Take],
+    calibration: Sequence[Alignment],
+    k: int,
+    chosen: Take,
 ) -> Alignment:
-    """Return a sensor's alignment by the two people whose movements are most alike."""
+    """Return a sensor's alignment by the two people whose movements are most alike.
+
+    It is the calibration's sensor ``k``, counted without the first.
+    """
     found, refused = [], []
     for one, other in product(first, second):
         try:
@@ -107,10 +113,10 @@ def _align_people(
         found.append((alike.place_is_sure, explained, alike, other.source))
     if found:
         *_, alike, source = max(found, key=lambda fit: fit[:2])
-        return alike if known is None else _calibrated(alike, known, source)
-    if known is None or len(refused) > 1:
+        return _calibrated(alike, calibration, k, source) if calibration else alike
+    if not calibration or len(refused) > 1:
         raise refused[0]
-    return known
+    return calibration[k]
 
 
 def displacement(before: Placement, after: Placement) -> tuple[float, float] | None:
@@ -120,14 +126,27 @@ def displacement(before: Placement, after: Placement) -> tuple[float, float] | N
     return (angle, shift) if angle > _TURNED or shift > _SHIFTED else None
 
 
-def _calibrated(found: Alignment, known: Alignment, source: str) -> Alignment:
+def _calibrated(
+    found: Alignment, calibration: Sequence[Alignment], k: int, source: str
+) -> Alignment:
     """Return an alignment with what the calibration knows better."""
+    known = calibration[k]
     away = displacement(known.placed, found.placed)
     if away and found.place_is_sure and found.clock_is_sure:
+        places = [one.placed for one in (IDENTITY, *calibration)]
+        for (i, one), (j, other) in permutations(enumerate(places, start=1), 2):
+            back = one.turn.inv()
+            between = Placement(back * other.turn, back.apply(other.shift - one.shift))
+            if not displacement(between, found.placed):
+                raise InputError(
+                    f"{source}: the takes fit the calibration in another order, the "
+                    f"first as its sensor {i} and this one as its sensor {j}; give "
+                    "them in its order"
+                )
         raise InputError(
             f"{source}: its sensor stands {np.degrees(away[0]):.0f} degrees and "
-            f"{away[1]:.2f} m away from its place in the calibration: it was moved, or "
-            "the takes are in another order: give that, or leave --calibration out"
+            f"{away[1]:.2f} m away from its place in the calibration, and the takes "
+            "fit it in no other order: a sensor was moved; leave --calibration out"
         )
     clock = found.clock if found.clock_is_sure else known.clock
     return found._replace(

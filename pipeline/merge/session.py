@@ -302,9 +302,9 @@ def _cleaner(
     # Alignments hold in the sensors' own frames, so these are not leveled; failures
     # were repaired before sides were settled.
     corrector = _without_failures(Cleaner(replace(config, tilt=0.0)).until("correct"))
-    corrected, scores = [], []
+    corrected, scores, measured = [], [], []
     pairs = zip(merged.takes, (IDENTITY, *merged.alignments), strict=True)
-    stamps = merged.take.time
+    stamps, skeleton = merged.take.time, merged.take.skeleton
     for k, (take, found) in enumerate(pairs):
         time = found.clock.inverse(take.time)
         frames = np.searchsorted(stamps, time).clip(max=len(stamps) - 1)
@@ -317,10 +317,13 @@ def _cleaner(
         moved = np.linalg.norm(draft.positions - take.positions, axis=2)
         sure = (_SURE / uncertainty(draft)) ** 2
         scores.append(draft.reliability * sure * np.exp(-np.nan_to_num(moved) / _MOVED))
+        own = _sights(stamps, take, draft.origin == Origin.MEASURED, found, skeleton)
+        measured.append([sight.reliability for sight in own])
     fused = fuse(corrected, scores, merged.alignments, progress)
+    share = np.einsum("tsj,stj->tj", fused.shares, measured)
     # A person who turns away from one sensor is not a failure of all sensors.
     cleaner = _without_failures(Cleaner(config))
-    return cleaner.replaced(Corrected(config, fused.take.positions))
+    return cleaner.replaced(Corrected(config, fused.take.positions, share < 0.5))
 
 
 def _without_failures(cleaner: Cleaner) -> Cleaner:
@@ -332,16 +335,22 @@ class Corrected(Correct):
     """Uses joints that were corrected already; without any, corrects them itself.
 
     ``places`` are the joints [m] of a take (T, J, 3) or of the next frame (J, 3), in
-    the sensor frame, NaN where there are none.
+    the sensor frame, NaN where there are none; ``changed``, of a take (T, J), are those
+    that correction changed at most of the sensors, by their shares.
     """
 
     in_parts = False
     local = False  # the joints are those of the whole take
 
-    def __init__(self, config: CleanConfig, places: Array | None = None) -> None:
+    def __init__(
+        self,
+        config: CleanConfig,
+        places: Array | None = None,
+        changed: Flags | bool = True,
+    ) -> None:
         super().__init__(config)
         self._plain = Correct(replace(config, method="none", model=None, preset=None))
-        self.places = places
+        self.places, self._changed = places, changed
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
@@ -367,7 +376,7 @@ class Corrected(Correct):
         else:
             self._plain.whole(draft, progress)
             known = self._apply(draft, self.places)
-            draft.origin[known & ~draft.missing] = Origin.CORRECTED
+            draft.origin[known & self._changed & ~draft.missing] = Origin.CORRECTED
 
     @staticmethod
     def _apply(draft: Draft, places: Array) -> Flags:
