@@ -19,9 +19,8 @@ from kinefilter.characters.gaps import LONG_GAP, parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import cross
 
-from .target.feet import ankles_and_toes
+from .target.feet import ankles_and_toes, flat_height
 from .target.floor import clearances
-from .target.resting_foot import flat_height
 from .target.smooth import smooth
 
 SKATE_HEIGHT = 0.05  # m above its standing height, below which no foot should slide

@@ -17,9 +17,12 @@ from kinefilter.characters.arrays import runs
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.target import feet, planting
-from kinefilter.pipeline.target.feet import ankles_and_toes, find_stance
+from kinefilter.pipeline.target.feet import (
+    ankles_and_toes,
+    find_stance,
+    flat_height,
+)
 from kinefilter.pipeline.target.planting import plant_feet
-from kinefilter.pipeline.target.resting_foot import flat_height
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]

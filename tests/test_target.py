@@ -30,10 +30,10 @@ from kinefilter.pipeline.stages import Stage
 from kinefilter.pipeline.target.feet import (
     ankles_and_toes,
     find_stance,
+    flat_height,
     planted_feet,
 )
 from kinefilter.pipeline.target.planting import plant_feet
-from kinefilter.pipeline.target.resting_foot import flat_height
 from kinefilter.pipeline.target.target_stages import (
     Bones,
     Feet,

@@ -11,7 +11,6 @@ from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
 
-from .resting_foot import flat_height
 from .smooth import smooth
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
@@ -55,6 +54,12 @@ CLEARANCE = 0.065  # m under a moving sole. People walk with less, but seem to s
 def ankles_and_toes(skeleton: Skeleton) -> tuple[list[int], list[int]]:
     """Return the indices of the ankles and of the toes, left and right."""
     return skeleton.sides("Ankle"), skeleton.sides("Foot")
+
+
+def flat_height(body: Body, toe: int) -> float:
+    """Return the height [m] of the ankle of a foot that is flat on the floor."""
+    ankle = float(body.rest_positions[body.skeleton.parents[toe], 1])
+    return min(ankle, float(body.radii[toe] + body.lengths[toe]))
 
 
 def find_stance(

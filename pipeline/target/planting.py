@@ -11,9 +11,13 @@ from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Flags, runs
 from kinefilter.retarget.limbs import smooth_step
 
-from .feet import CLEARANCE, LIFT_TIME, SLIDE_SPEED, ankles_and_toes
-from .possible_postures import hips_yaw, turned_ahead, uprightness
-from .resting_foot import flat_height, resting
+from .feet import CLEARANCE, LIFT_TIME, SLIDE_SPEED, ankles_and_toes, flat_height
+from .possible_postures import (
+    hips_yaw,
+    standing_direction,
+    turned_ahead,
+    uprightness,
+)
 from .smooth import smooth
 
 PLANTED = 960.0  # bone weight of a planted foot; a measured joint has 1
@@ -32,9 +36,9 @@ _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _BEHIND = 0.05
-"""Distance [m] from the measured path up to which it does. Chosen, as ``_HEEL_ERROR``, on
-walks of CMU's people 02, 05, 07, 16 and 29 and on every fourth recorded take. Without
-it, feet rush through steps and land 20 cm early."""
+"""Distance [m] from the measured path up to which it does. Without it, feet land 20 cm
+early. Chosen, as ``_HEEL_ERROR``, on walks of people 02, 05, 07, 16 and 29 of CMU and
+on every fourth recorded take."""
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
 _STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
 
@@ -81,7 +85,7 @@ def plant_feet(
         upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
         for s in stances:
             hips = yaw[s][upright[s] == 1.0]
-            joined[s] = resting(path[s], weights[s], rise[s], hips, body, toe)
+            joined[s] = _resting(path[s], weights[s], rise[s], hips, body, toe)
         path = _joined(time, path, joined, stances)
         path[~still] = turned_ahead(path, yaw, upright)[~still]
         path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
@@ -89,6 +93,40 @@ def plant_feet(
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
         planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_STEP_CUTOFF)
     return planted, down
+
+
+def _resting(
+    path: Array, weights: Array, rise: Array, yaw: Array, body: Body, toe: int
+) -> Array:
+    """Return ankle and toe of one stance [m], shape (T, 2, 3).
+
+    The ankle is over its weighted median, and rises [m] (T,) while the toes are on the
+    floor, which is at y = 0. ``yaw`` is where the hips head [rad] in the frames in
+    which the shank is upright.
+    """
+    place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
+    ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    if len(yaw):
+        ahead = standing_direction(ahead, yaw)
+    length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
+    reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
+    tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
+    rest[:, 1, [0, 2]], rest[:, 1, 1] = tip, sole
+    # The ankle turns about the toes.
+    height = np.minimum(flat + rise, sole + length)
+    back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
+    rest[:, 0, [0, 2]], rest[:, 0, 1] = tip - back[:, None] * ahead, height
+    return rest
+
+
+def _median(values: Array, weights: Array) -> float:
+    """Return the weighted median, the mean of two values if both are in the middle."""
+    order = np.argsort(values, kind="stable")
+    sums = np.cumsum(weights[order] + 1e-3)
+    half, rounding = 0.5 * sums[-1], 1e-9 * sums[-1]
+    middle = np.searchsorted(sums, [half - rounding, half + rounding])
+    return float(values[order][middle].mean())
 
 
 def _joined(time: Array, path: Array, joined: Array, stances: list[slice]) -> Array:

@@ -22,7 +22,6 @@ from kinefilter.retarget import BoneLengths, rotations_from_positions
 
 from . import feet, floor, planting
 from .possible_postures import even_turns, possible_joints, possible_knees
-from .resting_foot import flat_height
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
 
@@ -177,7 +176,7 @@ class Floor(SharedStage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._ankles, toes = feet.ankles_and_toes(body.skeleton)
-        self._flat = flat_height(body, toes[0])
+        self._flat = feet.flat_height(body, toes[0])
         self._height = self._given
         self._soles: deque[tuple[float, float]] = deque()
         self._turn = Turn()
@@ -245,7 +244,7 @@ class Feet(Stage):
         """Reset the state for a new motion."""
         ankles, toes = feet.ankles_and_toes(body.skeleton)
         self._parts, self._stance = np.transpose([ankles, toes]), feet.StanceTracker()
-        self._flat = flat_height(body, toes[0])
+        self._flat = feet.flat_height(body, toes[0])
         self._heights = np.stack([np.full(2, self._flat), body.radii[toes]], axis=1)
         self._moved, self._anchors = np.zeros((2, 2, 2, 3))  # by foot, ankle and toes
         self._planted = np.zeros(2, dtype=np.bool_)
