@@ -42,6 +42,10 @@ from .world import World
 _LOST = 3.0
 """Distance [m] of a joint from its target that means divergence: more than the longest
 jump of a tracker that the bounded forces are still catching up with."""
+_FASTEST = 5.0
+"""Speed [m/s] of a joint above which a first move is taken for a jump of the tracker,
+and the character begins at rest. The default bounds stop it within 6 cm. A guess: feet
+that walk reach 4."""
 
 
 class PulledCharacter:
@@ -136,6 +140,7 @@ class PulledCharacter:
         self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity, self._external = np.zeros_like(self._target[0]), np.zeros(3)
+        self.at_rest = True  # so that the next move begins with its own speed
         for part in (self.feet, self.momentum, self._limbs, self.seat):
             part.start()
         self.grasp.start(props_stay=not reset_props)
@@ -152,6 +157,7 @@ class PulledCharacter:
         self.data.qvel[self._speeds] = other.data.qvel[other._speeds]
         mujoco.mj_kinematics(self.model, self.data)
         self._target, self._velocity = other._target, other._velocity
+        self.at_rest = other.at_rest
         self._pushes, self.limp, self._limbs = other._pushes, other.limp, other._limbs
         if self.compliance is not None:
             self.compliance, self._was_limp = other.compliance, other._was_limp
@@ -215,7 +221,8 @@ class PulledCharacter:
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt
         if acceleration is None:
-            gained = (velocity - self._velocity) / dt
+            before_that = velocity if self.at_rest else self._velocity
+            gained = (velocity - before_that) / dt
         else:
             gained = to_mujoco(acceleration)
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
@@ -228,6 +235,9 @@ class PulledCharacter:
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
+        if self.at_rest and carries:
+            self._set_off(move)
+        self.at_rest = False
         data.xfrc_applied[self._bodies] = 0.0
         self._pushed = self._pushes.apply(data, self._bodies, dt)
         self.feet.begin(move, stands if carries else None)
@@ -343,11 +353,28 @@ class PulledCharacter:
         own, others = self.is_part[touching], self._is_other[touching]
         return bool((own & others[:, ::-1]).any())
 
-    def _place(self, positions: Array, rotations: Array) -> None:
-        qpos, root, skeleton = self.data.qpos, self._root_joint, self.body.skeleton
+    def _set_off(self, move: Move) -> None:
+        """Give the character the speed of a move, unless nobody is that fast."""
+        velocity = (move.after[0] - move.before[0]) / move.duration
+        if np.linalg.norm(velocity, axis=-1).max() > _FASTEST:
+            return
+        before, after = self.data.qpos.copy(), self.data.qpos.copy()
+        self._pose(before, *move.before)
+        self._pose(after, *move.after)
+        speeds = np.empty(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, speeds, move.duration, before, after)
+        self.data.qvel[self._speeds] = speeds[self._speeds]
+        self.momentum.set_off(velocity)
+
+    def _pose(self, qpos: Array, positions: Array, rotations: Array) -> None:
+        """Write a target into coordinates of the engine."""
+        root, skeleton = self._root_joint, self.body.skeleton
         qpos[self._root] = np.concatenate([positions[root], rotations[root]])
         relative = relative_rotations(rotations, skeleton)[skeleton.segments]
         qpos[self._balls[:, None] + np.arange(4)] = relative
+
+    def _place(self, positions: Array, rotations: Array) -> None:
+        self._pose(self.data.qpos, positions, rotations)
         self.data.qvel[self._speeds] = 0.0
         self._turns[:] = rotations
         mujoco.mj_kinematics(self.model, self.data)
