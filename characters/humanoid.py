@@ -156,6 +156,9 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         flesh: dict[str, Any] = {
             "size": [body.radii[j], 0.0, 0.0],
             "solmix": 1e-3,  # the hardness of the floor or prop prevails
+            # Limbs slide along the body, without friction: those whose target passes
+            # through it would stick, then leap. Floor and props keep theirs.
+            "condim": 1,
             **_SOFT_FLESH,
         }
         if j == root:

@@ -208,6 +208,8 @@ def pull_through(
             for _ in range(_SETTLING):
                 held = [cue.character.plan(*cue.target(k), 1 / 30) for cue in cues]
                 world.follow(held, stands)
+            for cue in cues:
+                cue.character.at_rest = True
             good = np.ones(len(cues), dtype=bool)
         else:
             good = world.follow([cue.move(k, dt) for cue in cues], stands)

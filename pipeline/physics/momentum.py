@@ -35,7 +35,7 @@ class Momentum:
         self._upward = self._directions[:, 2].copy()
         strongest = np.abs(model.actuator_forcerange[pulls]).max(axis=1)
         self._most = strongest @ np.abs(self._directions)
-        self._masses = np.zeros(model.nsite)
+        self._sites, self._masses = sites, np.zeros(model.nsite)
         self._masses[sites] = masses
         self._gravity = float(masses.sum()) * model.opt.gravity
         self.start()
@@ -44,6 +44,10 @@ class Momentum:
         """Reset the state to a body at rest."""
         self._before = np.zeros(3)
         self.forget()
+
+    def set_off(self, velocities: Array) -> None:
+        """Set the velocities of the joints [m/s], (J, 3), at which the body begins."""
+        self._before = self._masses[self._sites] @ velocities
 
     def take_over(self, other: Momentum) -> None:
         """Go on from the momentum of the same body in another world."""

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from kinefilter.characters import Body, InputError
+from kinefilter.characters import Body, InputError, Skeleton
 from kinefilter.characters.anthropometry import GRAVITY, joint_masses
 from kinefilter.characters.arrays import Array, Indices
 from kinefilter.characters.rotations import inverse, multiply, rotation_vector
 from kinefilter.pipeline.target.feet import ankles_and_toes
 
+from .compliance import relative_rotations
+
 _UP = np.array([0.0, 0.0, 1.0])
+_FASTEST = 5.0
+"""Speed [m/s] of a joint above which a first move is taken for a jump of the tracker,
+and the character begins at rest. The default bounds stop it within 6 cm. A guess: feet
+that walk reach 4."""
 
 
 def check_target(positions: Array, rotations: Array) -> None:
@@ -33,11 +41,52 @@ class Move:
     forward: Array  # controls of the pulls that the pose does not change, (pulls,)
     left_share: Any  # of the body that the left foot bears if both stand, in [0, 1]
 
+    @property
+    def velocity(self) -> Array:
+        """The joints' mean velocity [m/s], shape (J, 3), of a single move."""
+        return np.asarray((self.after[0] - self.before[0]) / self.duration)
+
+    @property
+    def is_jump(self) -> bool:
+        """Whether a single move is too fast for a person."""
+        return bool(np.linalg.norm(self.velocity, axis=1).max() > _FASTEST)
+
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
         before, after = ((p[k], q[k]) for p, q in (self.before, self.after))
         share = float(self.left_share[k])
         return Move(float(self.duration[k]), before, after, self.forward[k], share)
+
+
+class Coordinates:
+    """Where one of the characters in a model is in the engine's coordinates."""
+
+    def __init__(
+        self, model: mujoco.MjModel, skeleton: Skeleton, names: Sequence[str]
+    ) -> None:
+        self._model, self._skeleton = model, skeleton
+        ends = [model.joint(names[j]) for j in skeleton.segments]
+        self._balls = np.array([ball.qposadr[0] for ball in ends])[:, None] + range(4)
+        free = model.joint(names[skeleton.root])
+        first, speed = int(free.qposadr[0]), int(free.dofadr[0])
+        self.root = slice(first, first + 7)
+        self.places = slice(first, first + 7 + 4 * len(ends))
+        self.speeds = slice(speed, speed + 6 + 3 * len(ends))
+
+    def pose(self, qpos: Array, positions: Array, rotations: Array) -> None:
+        """Write a posture, joints [m] (J, 3) and rotations (J, 4), into ``qpos``."""
+        root = self._skeleton.root
+        qpos[self.root] = np.concatenate([positions[root], rotations[root]])
+        relative = relative_rotations(rotations, self._skeleton)
+        qpos[self._balls] = relative[self._skeleton.segments]
+
+    def speeds_of(self, qpos: Array, move: Move) -> Array:
+        """Return the speeds of a move, in a world whose other places are ``qpos``."""
+        before, after, speeds = qpos.copy(), qpos.copy(), np.empty(self._model.nv)
+        self.pose(before, *move.before)
+        self.pose(after, *move.after)
+        mujoco.mj_differentiatePos(self._model, speeds, move.duration, before, after)
+        return speeds[self.speeds]
 
 
 class MovePlanner:

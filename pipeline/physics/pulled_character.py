@@ -29,10 +29,10 @@ from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
-from .compliance import FALLEN_DAMPING, Compliance, relative_rotations
+from .compliance import FALLEN_DAMPING, Compliance
 from .grasp import Grasp
 from .momentum import Momentum
-from .moves import Move, MovePlanner, check_target
+from .moves import Coordinates, Move, MovePlanner, check_target
 from .pushes import Pushes
 from .seat import Seat
 from .standing_feet import StandingFeet
@@ -70,14 +70,9 @@ class PulledCharacter:
         self._bodies = np.array([model.body(name).id for name in names])
         self._root_joint = body.skeleton.root
         self.root_body = root = int(self._bodies[self._root_joint])
-        ends = [model.joint(names[j]) for j in body.skeleton.segments]
-        self._balls = np.array([ball.qposadr[0] for ball in ends])
-        free = model.joint(names[body.skeleton.root])
-        first, speed = int(free.qposadr[0]), int(free.dofadr[0])
-        self._root = slice(first, first + 7)
-        self._speeds = slice(speed, speed + 6 + 3 * len(ends))
-        self._places = slice(first, first + 7 + 4 * len(ends))
-        number = world.add(self, self._places, self._speeds)
+        self._coordinates = where = Coordinates(model, body.skeleton, names)
+        self._root, self._speeds = where.root, where.speeds
+        number = world.add(self, where.places, where.speeds)
         # For each body of the model the joint at its end, -1 if not the character's.
         self.joint_of = np.full(model.nbody, -1)
         self.joint_of[self._bodies] = np.arange(len(joints))
@@ -136,6 +131,7 @@ class PulledCharacter:
         self.world.reset(props=reset_props)
         self._target = (to_mujoco(positions), to_mujoco(rotations))
         self._velocity, self._external = np.zeros_like(self._target[0]), np.zeros(3)
+        self.at_rest = True  # so that the next move begins with its own speed
         for part in (self.feet, self.momentum, self._limbs, self.seat):
             part.start()
         self.grasp.start(props_stay=not reset_props)
@@ -148,10 +144,12 @@ class PulledCharacter:
 
     def take_over(self, other: PulledCharacter) -> None:
         """Go on from where one of the same body is in another world."""
-        self.data.qpos[self._places] = other.data.qpos[other._places]
+        there, here = other._coordinates.places, self._coordinates.places
+        self.data.qpos[here] = other.data.qpos[there]
         self.data.qvel[self._speeds] = other.data.qvel[other._speeds]
         mujoco.mj_kinematics(self.model, self.data)
         self._target, self._velocity = other._target, other._velocity
+        self.at_rest = other.at_rest
         self._pushes, self.limp, self._limbs = other._pushes, other.limp, other._limbs
         if self.compliance is not None:
             self.compliance, self._was_limp = other.compliance, other._was_limp
@@ -215,7 +213,8 @@ class PulledCharacter:
         before, after = self._target, (to_mujoco(positions), to_mujoco(rotations))
         velocity = (after[0] - before[0]) / dt
         if acceleration is None:
-            gained = (velocity - self._velocity) / dt
+            before_that = velocity if self.at_rest else self._velocity
+            gained = (velocity - before_that) / dt
         else:
             gained = to_mujoco(acceleration)
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
@@ -228,6 +227,10 @@ class PulledCharacter:
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
+        if self.at_rest and carries and not move.is_jump:
+            data.qvel[self._speeds] = self._coordinates.speeds_of(data.qpos, move)
+            self.momentum.set_off(move.velocity)
+        self.at_rest = False
         data.xfrc_applied[self._bodies] = 0.0
         self._pushed = self._pushes.apply(data, self._bodies, dt)
         self.feet.begin(move, stands if carries else None)
@@ -344,10 +347,7 @@ class PulledCharacter:
         return bool((own & others[:, ::-1]).any())
 
     def _place(self, positions: Array, rotations: Array) -> None:
-        qpos, root, skeleton = self.data.qpos, self._root_joint, self.body.skeleton
-        qpos[self._root] = np.concatenate([positions[root], rotations[root]])
-        relative = relative_rotations(rotations, skeleton)[skeleton.segments]
-        qpos[self._balls[:, None] + np.arange(4)] = relative
+        self._coordinates.pose(self.data.qpos, positions, rotations)
         self.data.qvel[self._speeds] = 0.0
         self._turns[:] = rotations
         mujoco.mj_kinematics(self.model, self.data)
