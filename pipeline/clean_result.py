@@ -13,7 +13,7 @@ from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
 from .draft import Draft
 from .editing import moved_by_pins
 from .edits import Edit
-from .failures import Failure, describe_failures, find_displaced
+from .failures import Failure, describe_damage, find_displaced
 from .formats.plain import times_told
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
@@ -65,12 +65,6 @@ class CleanResult:
         """Share of frames whose coverage is below 0.5, or NaN without coverage."""
         outside = np.where(np.isnan(self.coverage), np.nan, self.coverage < 0.5)
         return float(np.mean(outside))
-
-
-def describe_damage(time: Array, failures: Iterable[Failure]) -> tuple[str, ...]:
-    """Return a sentence for each long gap and each kind of failure of a take."""
-    gaps = describe_gaps(long_gaps(time), time[0])
-    return (*gaps, *describe_failures(failures, time[0]))
 
 
 def result_of(

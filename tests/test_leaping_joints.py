@@ -28,7 +28,7 @@ def deepest(positions: NDArray[np.float64], body: Body) -> float:
 
 
 @pytest.mark.parametrize(
-    ("seed", "physics"), [(5, True), (28, True), (7, True), (7, False)]
+    ("seed", "physics"), [(0, True), (5, True), (28, True), (7, True), (7, False)]
 )
 def test_leaping_joints_leave_a_clip_over_its_floor(seed: int, physics: bool) -> None:
     config = CleanConfig(method="none", physics=physics)

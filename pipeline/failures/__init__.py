@@ -12,6 +12,7 @@ from .bodies import ImpossibleBodies, stray_joints
 from .gross import (
     Failure,
     FailureKind,
+    describe_damage,
     describe_failures,
     find_displaced,
     find_failures,
@@ -24,6 +25,7 @@ __all__ = [
     "Failure",
     "FailureKind",
     "ImpossibleBodies",
+    "describe_damage",
     "describe_failures",
     "find_displaced",
     "find_failures",

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array, Flags, runs
-from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.gaps import describe_gaps, long_gaps, parts_of
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.formats.plain import times_told
@@ -120,6 +120,12 @@ def describe_failures(failures: Iterable[Failure], begin: float) -> tuple[str, .
         f"{part} {kind} ({times_told(times)}): {kind.done}"
         for (part, kind), times in groups.items()
     )
+
+
+def describe_damage(time: Array, failures: Iterable[Failure]) -> tuple[str, ...]:
+    """Return a sentence for each long gap and each kind of failure of a take."""
+    gaps = describe_gaps(long_gaps(time), time[0])
+    return (*gaps, *describe_failures(failures, time[0]))
 
 
 def find_failures(

@@ -12,8 +12,12 @@ from kinefilter.characters import Clip, InputError, State, Take
 from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import distinct_stamps, nearest_frames
-from kinefilter.pipeline.clean_result import describe_damage
-from kinefilter.pipeline.failures import find_displaced, find_failures, repaired
+from kinefilter.pipeline.failures import (
+    describe_damage,
+    find_displaced,
+    find_failures,
+    repaired,
+)
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent

@@ -175,6 +175,9 @@ class _Cue:
             # Ranges are soft in the engine, and the target may ignore them.
             turns = self._turns[some] = within_ranges(self._turns[some], body.skeleton)
             joints[some] = positions_from_rotations(turns, self._roots[some], body)
+            # Which may move feet into the floor.
+            deep = floor_penetration(joints[some, :, 1], clearances(body))
+            joints[some, :, 1] += deep[:, None]
             away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)
             self._trace.tracking_error[some] = away.mean(axis=-1)
         return PhysicsResult(continuous(self._turns), joints, self._trace, self._props)
