@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,3 +155,17 @@ def test_every_joint_is_on_its_side_under_the_names_of_a_recorder(
         wanted = truth.positions[:, KINECT_V2.sides("Ankle")] + [0.0, 0.0, TOES]
     np.testing.assert_allclose(again.positions[:, feet], wanted, atol=1e-6)
     assert not found.by_kinect
+
+
+@pytest.mark.parametrize(("frames", "left_out"), [(1, 1), (2, 0)])
+def test_only_a_single_rest_posture_at_the_start_is_left_out(
+    tmp_path: Path, frames: int, left_out: int
+) -> None:
+    truth = scripted("walk")
+    positions, wrists = truth.positions.copy(), KINECT_V2.sides("Wrist")
+    positions[:frames, wrists] += [[0.6, 0.5, 0.0], [-0.6, 0.5, 0.0]]
+    truth = replace(truth, positions=positions)
+    recording = read_recording(write_text(tmp_path / "a.bvh", bvh(truth, ROKOKO)))
+    (found,) = recording.takes
+    assert len(found) == len(truth) - left_out
+    assert sum("rest posture" in note for note in recording.notes) == left_out
