@@ -30,6 +30,8 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from kinefilter.characters import KINECT_V2, Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Indices, Singles, chunks
+from kinefilter.characters.rotations import between, rotate, unit
+from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.standardize import chain_matrix
 
@@ -107,6 +109,9 @@ class FourierRidge(LearnedCorrector):
         self._strange = np.where(leg, _STRANGE_LEG, _STRANGE)
         self._familiar = np.where(leg, _FAMILIAR_LEG, _FAMILIAR)
         self._wrists = np.array([name.startswith("Wrist") for name in names])
+        chain = ("Hip", "Knee", "Ankle", "Foot")
+        legs = [[names.index(part + side) for part in chain] for side in SIDES]
+        self._legs = np.array(legs)
         # How Kinect v1 shows trunks from the side has not been measured.
         measured = skeleton == KINECT_V2
         ends, feet = (("Shoulder", "Hip"), ("Foot",)) if measured else ((), ())
@@ -223,7 +228,9 @@ class FourierRidge(LearnedCorrector):
             for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
         )
         near, far = offsets
+        legs = self._leg_directions(points)
         constant = np.broadcast_to(near.mean(axis=0), near.shape)
+        constant = self._turned_with_legs(constant, legs.mean(axis=0), legs)
         found = _Offsets(constant, near - constant, far, parts, similar, share, toward)
         return self._apply(take, posture, found)
 
@@ -241,16 +248,34 @@ class FourierRidge(LearnedCorrector):
         )
         ((near,), (far,)), (similar,), (parts,) = self._predict(features, live=True)
         share = _share_of_constant(similar, toward[0])
-        spans = (_SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
-        latest = (near, parts, similar, share, toward[0])
+        legs = self._leg_directions(points)
+        spans = (_SLOW, _SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
+        latest = (near, legs, parts, similar, share, toward[0])
         means = zip(self._means or latest, latest, spans, strict=True)
         self._means = tuple(
             mean + min(1.0, elapsed / span) * (value - mean)
             for mean, value, span in means
         )
-        constant, *averaged = self._means
+        constant, usual, *averaged = self._means
+        constant = self._turned_with_legs(constant, usual, legs)
         found = _Offsets(constant, near - constant, far, *averaged)
         return self._apply(observation, posture, found)
+
+    def _leg_directions(self, points: Array) -> Array:
+        """Return unit vectors along thighs and shins, left and right (..., 2, 2, 3)."""
+        return unit(np.diff(points[..., self._legs[:, :3], :], axis=-2))
+
+    def _turned_with_legs(self, constant: Array, usual: Array, legs: Array) -> Array:
+        """Return constant offsets (..., M, 3) that turn with thighs and shins.
+
+        ``usual`` and ``legs`` are their directions, on average and now. Offsets that
+        make standing legs longer would otherwise lower feet that kick.
+        """
+        bones = np.diff(constant[..., self._legs, :], axis=-2)
+        bones[..., :2, :] = rotate(between(usual, legs), bones[..., :2, :])
+        turned, hips = constant.copy(), constant[..., self._legs[:, :1], :]
+        turned[..., self._legs[:, 1:], :] = hips + bones.cumsum(axis=-2)
+        return turned
 
     def _apply(self, seen: Observation, posture: Array, found: _Offsets) -> Correction:
         """Return the postures plus the offsets, weighted by similarity."""

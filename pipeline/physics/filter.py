@@ -212,7 +212,7 @@ def pull_through(
                 held = [cue.character.plan(*cue.target(k), 1 / 30) for cue in cues]
                 world.follow(held, stands)
             for cue in cues:
-                cue.character.at_rest = True
+                cue.character.fastest_start = np.inf  # as its target was smoothed
             good = np.ones(len(cues), dtype=bool)
         else:
             good = world.follow([cue.move(k, dt) for cue in cues], stands)

@@ -18,10 +18,6 @@ from kinefilter.pipeline.target.feet import ankles_and_toes
 from .compliance import relative_rotations
 
 _UP = np.array([0.0, 0.0, 1.0])
-_FASTEST = 5.0
-"""Speed [m/s] of a joint above which a first move is taken for a jump of the tracker,
-and the character begins at rest. The default bounds stop it within 6 cm. A guess: feet
-that walk reach 4."""
 
 
 def check_target(positions: Array, rotations: Array) -> None:
@@ -45,11 +41,6 @@ class Move:
     def velocity(self) -> Array:
         """The joints' mean velocity [m/s], shape (J, 3), of a single move."""
         return np.asarray((self.after[0] - self.before[0]) / self.duration)
-
-    @property
-    def is_jump(self) -> bool:
-        """Whether a single move is too fast for a person."""
-        return bool(np.linalg.norm(self.velocity, axis=1).max() > _FASTEST)
 
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
