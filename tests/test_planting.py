@@ -113,6 +113,11 @@ def test_a_heel_rises_where_the_ankle_is_far_higher_than_the_sensor_errs() -> No
     assert not heels[45, 0]
     top = planted[:, ANKLES[0], 1].max() - planted[0, ANKLES[0], 1]
     assert top == pytest.approx(0.12 - planting._HEEL_ERROR, abs=2e-3)
+    frames = time, path, ones(path), stands, BODY
+    other, _ = plant_feet(*frames, by_kinect=False)
+    higher = (other - planted)[:, ANKLES[0], 1].max()
+    less = planting._HEEL_ERROR - planting._OTHERS_HEEL_ERROR
+    assert higher == pytest.approx(less, abs=5e-3)
     turning = np.linalg.norm(planted[:, ANKLES[0]] - planted[:, TOES[0]], axis=1)
     np.testing.assert_allclose(turning, BODY.lengths[TOES[0]], atol=STILL)
     down = np.ones((90, 2), dtype=np.bool_)

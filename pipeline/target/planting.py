@@ -31,7 +31,8 @@ which drag in 3 % of the frames of simulated walks with hips that are seen too l
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_HEEL_ERROR = 0.07  # m: a planted ankle that is higher than this has left the floor
+_HEEL_ERROR, _OTHERS_HEEL_ERROR = 0.07, 0.03
+"""Height [m] of a planted ankle that has left the floor, by Kinect and otherwise."""
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
@@ -56,16 +57,19 @@ def plant_feet(
     stands: Flags,
     body: Body,
     heels: Flags | None = None,
+    *,
+    by_kinect: bool = True,
 ) -> tuple[Array, Flags]:
     """Return positions (T, J, 3) with planted feet at rest, and which heels are down.
 
     Ankle and toes of a planted foot stay at their weighted median with the sole on the
-    floor, which is at y = 0; the heel rises only where the ankle is higher than
-    Kinect's errors lift it. A stepping foot follows the measurement, moved so that it
+    floor, which is at y = 0; the heel rises only where the ankle is higher than errors
+    of the sensor lift it. A stepping foot follows the measurement, moved so that it
     leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
     are down where ``heels`` says so, and elsewhere as measured.
     """
     planted, down = positions.copy(), np.zeros_like(stands)
+    error = _HEEL_ERROR if by_kinect else _OTHERS_HEEL_ERROR
     yaw = hips_yaw(positions, body.skeleton)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
@@ -74,7 +78,7 @@ def plant_feet(
         if not stances:
             continue
         path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
-        rise = np.maximum(path[:, 0, 1] - flat - _HEEL_ERROR, 0.0)
+        rise = np.maximum(path[:, 0, 1] - flat - error, 0.0)
         # A leg that the edge of the view cuts off ends higher than a heel can be.
         most = body.radii[toe] + body.lengths[toe] - flat
         rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))

@@ -287,7 +287,9 @@ class Feet(Stage):
         planted, down = np.empty_like(positions), np.empty_like(stands)
         for k in parts_of(time):
             frames = time[k], positions[k], weights[k], stands[k]
-            planted[k], down[k] = planting.plant_feet(*frames, draft.body, heels[k])
+            planted[k], down[k] = planting.plant_feet(
+                *frames, draft.body, heels[k], by_kinect=draft.by_kinect
+            )
         draft.positions = planted
         draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
         draft.stands = feet.planted_feet(draft.contacts)
