@@ -42,6 +42,11 @@ class Move:
         """The joints' mean velocity [m/s], shape (J, 3), of a single move."""
         return np.asarray((self.after[0] - self.before[0]) / self.duration)
 
+    @property
+    def speed(self) -> float:
+        """Speed of the fastest joint [m/s], of a single move."""
+        return float(np.linalg.norm(self.velocity, axis=1).max())
+
     def __getitem__(self, k: int) -> Move:
         """Return one of several moves."""
         before, after = ((p[k], q[k]) for p, q in (self.before, self.after))

@@ -231,8 +231,7 @@ class PulledCharacter:
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
         carries = not self.limp and (gives is None or gives.follows)
-        speed = np.linalg.norm(move.velocity, axis=1).max()
-        if carries and speed < self.fastest_start:
+        if self.fastest_start > 0.0 and carries and move.speed < self.fastest_start:
             data.qvel[self._speeds] = self._coordinates.speeds_of(data.qpos, move)
             self.momentum.set_off(move.velocity)
         self.fastest_start = 0.0
