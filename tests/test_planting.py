@@ -376,33 +376,3 @@ def test_sides_are_in_the_order_of_the_flags() -> None:
     right = KINECT_V1.index("AnkleRight")
     assert np.ptp(planted[:, right, 0]) < STILL
     assert np.ptp(planted[:, KINECT_V1.index("AnkleLeft"), 0]) > 0.02
-
-
-# Frame by frame
-
-
-def test_no_foot_stands_where_it_no_longer_is() -> None:
-    """A foot that creeps too slowly for a step is planted again and again."""
-    tracker, ankles = feet.StanceTracker(), np.tile([0.0, 0.08, 2.0], (120, 2, 1))
-    ankles[:, 0, 0] += np.linspace(0.0, 1.0, 120)
-    stands = [tracker.step(frame, 0.08, 1.0 / 30.0) for frame in ankles]
-    stances = runs(np.array(stands)[:, 0])
-    assert len(stances) > 3
-    for stance in stances:
-        assert np.ptp(ankles[stance, 0, 0]) < feet._DRIFT + 0.05
-    assert np.array(stands)[:, 1].all()
-
-
-def test_a_foot_is_lifted_while_it_steps_and_only_then() -> None:
-    tracker, sole = feet.StanceTracker(), 0.03
-    toes = np.tile([0.0, sole, 2.0], (90, 2, 1))
-    toes[:, 0, 0] += np.interp(np.arange(90), [30, 50], [0.0, 1.0])
-    up = []
-    for frame in toes:
-        tracker.step(np.add(frame, [0.0, 0.05, 0.0]), 0.08, 1.0 / 30.0)
-        up.append(tracker.lift(frame, np.full(2, sole), 1.0 / 30.0))
-    lifted = np.array(up)
-    assert not lifted[:30].any()
-    assert lifted[:, 0].max() == pytest.approx(feet.CLEARANCE)
-    assert not lifted[70:].any()
-    assert not lifted[:, 1].any()
