@@ -138,7 +138,8 @@ def _begins_at_rest(time: Array, joints: Array) -> bool:
     """Return True if only the first frame shows another posture."""
     if len(joints) < 3:
         return False
-    moves = np.nanmax(np.linalg.norm(np.diff(joints[:3], axis=0), axis=2), axis=1)
+    moves = np.linalg.norm(np.diff(joints[:3], axis=0), axis=2)
+    moves = np.nan_to_num(moves).max(axis=1)
     first, second = moves / np.diff(time[:3])
     return bool(first > _LEAVES[0] and first > _LEAVES[1] * second)
 
