@@ -140,8 +140,9 @@ def _begins_at_rest(time: Array, joints: Array) -> bool:
         return False
     moves = np.linalg.norm(np.diff(joints[:3], axis=0), axis=2)
     moves = np.nan_to_num(moves).max(axis=1)
-    first, second = moves / np.diff(time[:3])
-    return bool(first > _LEAVES[0] and first > _LEAVES[1] * second)
+    first, second = np.diff(time[:3])
+    quick = moves[0] > _LEAVES[0] * first > 0.0
+    return bool(quick and moves[0] * second > _LEAVES[1] * moves[1] * first)
 
 
 def kinect_joints(
