@@ -28,7 +28,7 @@ def test_legs_that_swing_through_each_other_slide_and_do_not_stick() -> None:
     assert jitter(time, found) < 1.6 * jitter(time, target)  # 2.2
 
 
-def test_soles_do_not_slide_on_the_floor() -> None:
+def test_soles_keep_their_friction_on_the_floor() -> None:
     model = build_humanoid(BODY).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

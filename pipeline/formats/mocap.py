@@ -52,8 +52,8 @@ _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
 _TOLERANCE = 1.5  # largest ratio of a body's lengths to the standard body's, or inverse
 _TRACKED_FROM = 0.5  # confidence, see above
 _LEAVES = (15.0, 5.0)
-"""Speed of a joint relative to the root [m/s], and times the next one, at which the
-first frame is left: a rest posture that converters add. In 125 of 126 clips of CMU."""
+"""Speed of a joint relative to the root [m/s], and how many times the next one, that
+show that a converter added a rest posture as first frame: in 125 of CMU's 126 clips."""
 _STILL = 1e-3  # m; a tracker whose hips move less always puts them in the same place
 _AHEAD = np.array([0.0, 0.0, 2.0])
 """Shift [m] of such a motion, since a joint at the origin counts as missing."""
@@ -125,7 +125,9 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
     skeleton = skeletons[1] if missing else skeletons[0]
     positions, motion, notes = kinect_joints(mocap, skeleton, rigs)
     time = mocap.stamps if time is None else time
-    begin = int(_begins_at_rest(time, positions - positions[:, [skeleton.root]]))
+    begin = 0
+    if mocap.rotations is not None:
+        begin = int(_begins_at_rest(time, positions - positions[:, [skeleton.root]]))
     if begin:
         notes += ("the first frame is left out: it is a rest posture",)
     rows = time[begin:], positions[begin:], motion.state[begin:]
@@ -135,7 +137,7 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
 
 
 def _begins_at_rest(time: Array, joints: Array) -> bool:
-    """Return True if only the first frame shows another posture."""
+    """Return True if joints leap from their posture in the first frame, and no more."""
     if len(joints) < 3:
         return False
     moves = np.linalg.norm(np.diff(joints[:3], axis=0), axis=2)

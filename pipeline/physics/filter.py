@@ -172,10 +172,10 @@ class _Cue:
         bridge_resets(person.time, (self._turns, self._roots), target, resets, body)
         joints = np.empty_like(person.positions)
         for some in chunks(len(joints), _CHUNK):
-            # Ranges are soft in the engine, and the target may ignore them.
+            # Ranges are soft in the engine, and the target may ignore them. Keeping
+            # them may move feet into the floor.
             turns = self._turns[some] = within_ranges(self._turns[some], body.skeleton)
             joints[some] = positions_from_rotations(turns, self._roots[some], body)
-            # Which may move feet into the floor.
             deep = floor_penetration(joints[some, :, 1], clearances(body))
             joints[some, :, 1] += deep[:, None]
             away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)

@@ -32,14 +32,15 @@ _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
 _HEEL_ERROR, _OTHERS_HEEL_ERROR = 0.07, 0.03
-"""Height [m] of a planted ankle that has left the floor, by Kinect and otherwise."""
+"""How much higher [m] than of a flat foot an ankle is whose heel has left the floor: in
+a Kinect's takes, which err more, and in others. Chosen as ``_BEHIND``."""
 _HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _BEHIND = 0.05
 """Distance [m] from the measured path up to which it does. Without it, feet land 20 cm
-early. Chosen, as ``_HEEL_ERROR``, on walks of people 02, 05, 07, 16 and 29 of CMU and
-on every fourth recorded take."""
+early. Chosen on walks of people 02, 05, 07, 16 and 29 of CMU and on every fourth
+recorded take."""
 _FIRM = 1e4  # weight of a planted foot in the smoother; a stepping one has 1
 _STEP_CUTOFF = 6.0  # Hz: rounds the corners of steps
 
