@@ -42,6 +42,7 @@ _PELVIS_DAMPING = 100.0  # 1/s, times the leg's inertia about the pelvis
 # Turning a segment about its axis also turns its descendants, which lie at an angle:
 # the gains of the torque are for this share of its inertia across the axis. A guess.
 _TWIST_INERTIA = 0.1
+_HEEL = 0.03  # m from the middle of a heel to the two balls under it. A guess.
 # Groups of parts, and the groups with which each collides.
 _TRUNK = "Spine SpineMid ShoulderCenter SpineShoulder Neck Head KneeLeft KneeRight"
 _GROUPS = {
@@ -183,11 +184,14 @@ def _add_bodies(spec: mujoco.MjSpec, body: Body) -> None:
         parts[j].add_geom(name=name, mass=mass, **shape, **bits, **flesh)
         parts[j].add_site(name=name, pos=offsets[j])
         if name.startswith("Foot"):
-            # Only the toes of a capsule from ankle to toes would touch the floor.
+            # Only the toes of a capsule from ankle to toes would touch the floor; on
+            # toes and a single ball it would roll like a wheel.
             height = float(body.rest_positions[p, 1] - body.radii[j])
             heel, bits = name.replace("Foot", "Heel"), _collisions("")
-            ball = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "pos": [0.0, 0.0, -height]}
-            parts[j].add_geom(name=heel, mass=0.0, **ball, **bits, **flesh)
+            for k, aside in enumerate((_HEEL, -_HEEL)):
+                ball = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "mass": 0.0, **bits}
+                pos = [0.0, aside, -height]
+                parts[j].add_geom(name=f"{heel}:{k}", pos=pos, **ball, **flesh)
 
 
 def _collisions(name: str) -> dict[str, int]:
