@@ -57,6 +57,7 @@ _FAR, _NEAR = 0.4, 0.8
 # Seconds over which similarity is averaged: that of a part, that of the posture, and
 # the share of the constant offset that follows from it.
 _FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
+_POWER = 8  # of the mean of that share: familiar frames tell it, strange ones do not
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
@@ -221,24 +222,27 @@ class FourierRidge(LearnedCorrector):
             offsets[:, some], similar[some], parts[some] = predicted
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
-        toward = uniform_filter1d(toward, window, axis=0, mode="nearest")
-        share = _share_of_constant(similar, toward)
+        toward = uniform_filter1d(toward, window, axis=0, mode="reflect")
+        share = _share_of_constant(similar, toward) ** _POWER
         parts, similar, share = (
-            gaussian_filter1d(values, span / step, axis=0, mode="nearest")
+            gaussian_filter1d(values, span / step, axis=0, mode="reflect")
             for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
         )
         near, far = offsets
         legs = self._leg_directions(points)
         constant = np.broadcast_to(near.mean(axis=0), near.shape)
         constant = self._turned_with_legs(constant, legs.mean(axis=0), legs)
-        found = _Offsets(constant, near - constant, far, parts, similar, share, toward)
+        averaged = parts, similar, share ** (1.0 / _POWER), toward
+        found = _Offsets(constant, near - constant, far, *averaged)
         return self._apply(take, posture, found)
 
     def step(self, observation: Observation) -> Correction:
         """Correct the next frame."""
         posture = self._hold.step(observation).positions
         points, now = self._posture_features.points(posture), float(observation.time)
-        elapsed = now - self._past[-1][0] if self._past else 0.0
+        if not self._past:
+            self._began = now
+        elapsed = now - self._past[-1][0] if self._past else 1.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
         self._past = [*past, (now, points)]
         times, around = map(np.array, zip(*self._past, strict=True))
@@ -247,17 +251,19 @@ class FourierRidge(LearnedCorrector):
             points[None], around, np.array([now]), times, toward, live=True
         )
         ((near,), (far,)), (similar,), (parts,) = self._predict(features, live=True)
-        share = _share_of_constant(similar, toward[0])
+        share = _share_of_constant(similar, toward[0]) ** _POWER
         legs = self._leg_directions(points)
         spans = (_SLOW, _SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
         latest = (near, legs, parts, similar, share, toward[0])
+        since = now - self._began + elapsed
         means = zip(self._means or latest, latest, spans, strict=True)
         self._means = tuple(
-            mean + min(1.0, elapsed / span) * (value - mean)
+            mean + elapsed / max(min(span, since), elapsed) * (value - mean)
             for mean, value, span in means
         )
-        constant, usual, *averaged = self._means
+        constant, usual, parts, similar, share, toward = self._means
         constant = self._turned_with_legs(constant, usual, legs)
+        averaged = parts, similar, share ** (1.0 / _POWER), toward
         found = _Offsets(constant, near - constant, far, *averaged)
         return self._apply(observation, posture, found)
 

@@ -6,13 +6,16 @@ from statistics import median_low
 import numpy as np
 
 from kinefilter.characters import Body, Take
-from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.arrays import Array, Flags, Indices, runs
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 _TOP_SPEED = 20.0
 """Speed [m/s] beyond any person: sprinters reach 12.4 and recorded bodies 11.4, but
 trackers that jump from one person to another 50 to 70."""
 _NOISE = 0.5  # m by which the middle of a body may be off
+# m, and m/s over the speed in the frames around it, by which a body may move in a
+# frame, where both sides are known. In 264 recorded takes six steps are over 0.28 m.
+_STEP, _SPURT = 0.15, 4.0
 _RANGE = 20.0  # m, beyond the range of any depth sensor
 _BRIEF = 0.5  # s: a body that is elsewhere for less than this was never there. A guess.
 _PRIOR_FRAMES = 8  # how many frames the size of the followed body counts for. A guess.
@@ -167,20 +170,29 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     if not len(known):
         return wrong, jumps
     places, time = middle[known], take.time[known]
-    breaks = 1 + np.flatnonzero(~_reachable(places[:-1], places[1:], np.diff(time)))
-    pieces = np.split(np.arange(len(known)), breaks)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(time)
+    speeds = np.pad(steps, 1, mode="edge") if len(steps) else np.zeros(2)
+
+    def moved(first: Indices, last: Indices) -> Flags:
+        """Return True where the person could get from frame to frame, (N,)."""
+        seconds, start, end = time[last] - time[first], places[first], places[last]
+        usual = np.minimum(speeds[first], speeds[last + 1]) + _SPURT
+        even = np.linalg.norm(end - start, axis=-1) < _STEP + usual * seconds
+        return np.asarray(even & _reachable(start, end, seconds))
+
+    there = np.arange(len(known))
+    pieces = np.split(there, 1 + np.flatnonzero(~moved(there[:-1], there[1:])))
     longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece to the end of the take, then to its beginning.
     for way in (pieces[longest:], [p[::-1] for p in pieces[longest::-1]]):
         last = way[0][-1]
         for piece in way[1:]:
-            first, gap = piece[0], np.abs(time[piece[0]] - time[last])
-            if not _reachable(places[last], places[first], gap):
-                far = np.linalg.norm(places[first] - places[last]) > _RANGE
+            if not moved(*np.sort([[last], piece[:1]], axis=0)).all():
+                far = np.linalg.norm(places[piece[0]] - places[last]) > _RANGE
                 if far or np.ptp(time[piece]) < _BRIEF:
                     wrong[known[piece]] = True
                     continue
-                jumps[known[[last, first]]] = True
+                jumps[known[[last, piece[0]]]] = True
             last = piece[-1]
     return wrong, jumps
 
