@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kinefilter.characters.anthropometry import GRAVITY
@@ -48,6 +48,7 @@ def test_a_bouncing_ball_comes_to_rest() -> None:
     duration=st.floats(0.1, 3.0),
     wish=st.floats(-4.0, 6.0),
 )
+@example(start=1.0, end=0.0546875, duration=1.0, wish=4.0)
 def test_a_launched_ball_arrives(
     start: float, end: float, duration: float, wish: float
 ) -> None:

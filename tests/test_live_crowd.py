@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from live_session import SAMPLE, sample_frame
 
-from kinefilter import Avatar, read_take
+from kinefilter import Avatar, Cleaner, read_take
 from kinefilter.characters import KINECT_V1, InputError, standard_body
 from kinefilter.pipeline.correct import Hold, LocalPCA
 from kinefilter.pipeline.database import builtin_database
@@ -23,8 +23,6 @@ from kinefilter.pipeline.live.crowd import Crowd, Person
 from kinefilter.pipeline.live.live_config import LiveConfig
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
-from kinefilter.pipeline.reliability import measure_reference
-from kinefilter.retarget import measured_body
 
 
 def crowd(most: int = 6) -> tuple[Crowd, Tally]:
@@ -142,11 +140,10 @@ def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> N
     began = next(k for k, pose in enumerate(poses) if pose is not None)
     assert 1.0 <= SAMPLE.time[began] <= 1.2
     assert all(pose is not None for pose in poses[began:])
-    reference = measure_reference(SAMPLE)
-    whole = measured_body(KINECT_V1, reference.lengths, reference.directions)
+    whole = Cleaner().whole(SAMPLE).body
     assert person.avatar is not None
     away = np.abs(person.avatar.body.lengths - whole.lengths)
-    assert away.mean() < 0.01
+    assert away.mean() < 0.005
     assert abs(person.avatar.body.height - whole.height) < 0.03
 
 

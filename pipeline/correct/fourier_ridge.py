@@ -57,7 +57,7 @@ _FAR, _NEAR = 0.4, 0.8
 # Seconds over which similarity is averaged: that of a part, that of the posture, and
 # the share of the constant offset that follows from it.
 _FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
-_POWER = 8  # of the mean of that share: familiar frames tell it, strange ones do not
+_POWER = 16  # of the mean of that share: familiar frames tell it, strange ones do not
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
@@ -258,7 +258,7 @@ class FourierRidge(LearnedCorrector):
         since = now - self._began + elapsed
         means = zip(self._means or latest, latest, spans, strict=True)
         self._means = tuple(
-            mean + elapsed / max(min(span, since), elapsed) * (value - mean)
+            mean + elapsed / (max(min(span, since), elapsed) or 1.0) * (value - mean)
             for mean, value, span in means
         )
         constant, usual, parts, similar, share, toward = self._means

@@ -25,8 +25,11 @@ _LEAST_RATIO = 3.0  # of a slope to its standard error
 # degrees in front of the ankles. Limits were chosen on s02, s03 and s04, on p00 to p08
 # of two-kinects, and on one take of p12, who stands beside the sensor.
 _LEAN = np.radians(3.0)
-# Smaller tilts may be the person's own lean; larger ones are found by ``upright``.
-_LEAST_TILT, _MOST_TILT = np.radians([4.0, 15.0])
+# Tilts that may be the person's own lean, and that cannot: of people who lean forward,
+# and of those who do not, like scripted ones who balance on their ankles. What is
+# between counts in part. Guesses.
+_FORWARD, _BACK = np.radians([[1.0, 3.0], [3.0, 4.5]])
+_MOST_TILT = np.radians(15.0)  # what is more is found by ``upright``
 _LEAST_FRAMES = 15  # standing: half a second
 _STEADY = np.radians(2.0)  # interquartile range of the lean in these frames
 _FACING = np.cos(np.radians(25.0))  # from the side, sensors misplace the far limbs
@@ -119,15 +122,17 @@ def sensor_tilt(people: Sequence[Stood], *, by_kinect: bool = True) -> float:
 def _tilt_by_balance(people: Sequence[Stood]) -> float:
     """Return the angle [rad] about x that balances people who stand before the sensor.
 
-    Their arms hang, and they face it. 0 if there are too few such frames, or if the
-    tilt may be the people's own lean.
+    Their arms hang, and they face it. 0 if there are too few such frames; less if it
+    may be the people's own lean.
     """
     tilts, aside = np.concatenate([_leans(person) for person in people], axis=1)
     if len(tilts) < _LEAST_FRAMES:
         return 0.0
     least, tilt, most = np.percentile(tilts, [25.0, 50.0, 75.0])
     sure = most - least < _STEADY and abs(np.median(aside)) < _ASIDE
-    return float(tilt) if sure and _LEAST_TILT < abs(tilt) < _MOST_TILT else 0.0
+    own, other = _FORWARD if tilt < 0.0 else _BACK
+    share = np.clip((abs(tilt) - own) / (other - own), 0.0, 1.0)
+    return float(share * tilt) if sure and abs(tilt) < _MOST_TILT else 0.0
 
 
 def _leans(person: Stood) -> Array:

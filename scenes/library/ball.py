@@ -80,7 +80,7 @@ def launch_speed(
     over = flown(start[..., None], grid, duration[..., None]) > end[..., None]
     hit = over[..., 1:] != over[..., :-1]
     if bouncing:
-        fall = grid[:-1] + np.sqrt(grid[:-1] ** 2 + 2.0 * GRAVITY * start[..., None])
+        fall = grid[1:] + np.sqrt(grid[1:] ** 2 + 2.0 * GRAVITY * start[..., None])
         hit &= fall < GRAVITY * duration[..., None]
     away = np.where(hit, np.abs(grid[:-1] - wish[..., None]), np.inf)
     nearest = np.argmin(away, axis=-1)
