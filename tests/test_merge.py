@@ -272,7 +272,7 @@ def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
         truth = leveled(truth, clip.tilt, clip.roll)
         errors.append(error(clip.positions[inside], truth, found.takes[0]))
         measured.append(np.mean(clip.origin == Origin.MEASURED))
-    assert errors[2] < 0.95 * min(errors[:2]), errors
+    assert errors[2] < 0.97 * min(errors[:2]), errors
     assert measured[2] > 0.9 * min(measured[:2]), measured
 
 

@@ -223,7 +223,7 @@ class FourierRidge(LearnedCorrector):
         step = np.median(np.diff(take.time)) if count > 1 else 1.0
         window = int(max(_VIEW_TIME / step, 1.0))
         toward = uniform_filter1d(toward, window, axis=0, mode="reflect")
-        share = _share_of_constant(similar, toward) ** _POWER
+        share = _shares(similar, toward)
         parts, similar, share = (
             gaussian_filter1d(values, span / step, axis=0, mode="reflect")
             for values, span in ((parts, _FAST), (similar, _MEDIUM), (share, _SLOW))
@@ -232,8 +232,7 @@ class FourierRidge(LearnedCorrector):
         legs = self._leg_directions(points)
         constant = np.broadcast_to(near.mean(axis=0), near.shape)
         constant = self._turned_with_legs(constant, legs.mean(axis=0), legs)
-        averaged = parts, similar, share ** (1.0 / _POWER), toward
-        found = _Offsets(constant, near - constant, far, *averaged)
+        found = _Offsets(constant, near - constant, far, parts, similar, share, toward)
         return self._apply(take, posture, found)
 
     def step(self, observation: Observation) -> Correction:
@@ -251,7 +250,7 @@ class FourierRidge(LearnedCorrector):
             points[None], around, np.array([now]), times, toward, live=True
         )
         ((near,), (far,)), (similar,), (parts,) = self._predict(features, live=True)
-        share = _share_of_constant(similar, toward[0]) ** _POWER
+        share = _shares(similar, toward[0])
         legs = self._leg_directions(points)
         spans = (_SLOW, _SLOW, _FAST, _MEDIUM, _SLOW, _VIEW_TIME / 2.0)
         latest = (near, legs, parts, similar, share, toward[0])
@@ -261,9 +260,8 @@ class FourierRidge(LearnedCorrector):
             mean + elapsed / (max(min(span, since), elapsed) or 1.0) * (value - mean)
             for mean, value, span in means
         )
-        constant, usual, parts, similar, share, toward = self._means
+        constant, usual, *averaged = self._means
         constant = self._turned_with_legs(constant, usual, legs)
-        averaged = parts, similar, share ** (1.0 / _POWER), toward
         found = _Offsets(constant, near - constant, far, *averaged)
         return self._apply(observation, posture, found)
 
@@ -292,7 +290,9 @@ class FourierRidge(LearnedCorrector):
         share = _ramp(found.parts, self._strange, self._familiar)
         if self._person is None:
             share = np.where(self._wrists, _WRIST_SHARE * share, share)
-        offsets = found.share[..., None] * found.constant
+        familiar, frontal = found.share[..., :1], found.share[..., 1:]
+        constancy = familiar ** (1.0 / _POWER) * frontal
+        offsets = constancy[..., None] * found.constant
         offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
         offsets = offsets + (far_side * off_frontal)[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
@@ -305,7 +305,7 @@ class FourierRidge(LearnedCorrector):
         moved = posture + shift
         if seen.lengths is not None and self._person is None:
             odd = self._posture_features.proportions(seen.lengths) - self.bones_
-            scale = np.exp(-_BONE_SHARE * found.share * odd)[..., None]
+            scale = np.exp(-_BONE_SHARE * constancy * odd)[..., None]
             bones = moved - moved.take(self._parents, -2) * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
@@ -355,14 +355,15 @@ class _Offsets(NamedTuple):
     far: Array  # offsets of limbs on the far side of the body, likewise
     parts: Array  # similarity of each joint's part to the training data, (..., M)
     similar: Array  # similarity of the posture to frontal and side-on data, (..., 2)
-    share: Array  # of the constant part to apply, shape (..., 1)
+    share: Array  # of the constant part to apply, as ``_shares``, (..., 2)
     toward: Array  # direction to the sensor, shape (..., 2)
 
 
-def _share_of_constant(similar: Array, toward: Array) -> Array:
-    """Return the share of the constant offset, that of frontal views, to apply."""
-    off_frontal = _off_frontal_share(toward[..., :1], similar)
-    return _ramp(similar[..., :1], _FAR, _NEAR) * (1.0 - off_frontal)
+def _shares(similar: Array, toward: Array) -> Array:
+    """Return how familiar and how frontal frames are: shares of the constant offset."""
+    familiar = _ramp(similar[..., :1], _FAR, _NEAR) ** _POWER
+    frontal = 1.0 - _off_frontal_share(toward[..., :1], similar)
+    return np.concatenate([familiar, frontal], axis=-1)
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 
 from kinefilter.characters import Body, Take
 from kinefilter.characters.arrays import Array, Flags, Indices, runs
+from kinefilter.characters.gaps import parts_of
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 _TOP_SPEED = 20.0
@@ -26,6 +27,10 @@ _SIZE_FACTOR = 1.6
 _LOST = 0.3  # s without a body
 _FALLEN_APART = 0.08  # median deviation of the logarithms of lengths; usually 0.01
 _AFTER_LOSS = 1.0  # s that such a body may be kept
+_AT_END = 6  # frames, of which the first three may be wrong
+# m/s by which no joint changes its speed between frames and then keeps it. Chosen, from
+# 7 and 8, on s07 and s08, of whose feet 7 takes some that mocap agrees with.
+_JUMP = 8.0
 _REACH = 2.0  # m from the middle of the body, beyond which it has no joint. A guess.
 # Chosen on eight takes of pairs (p20 to p26), five of which sink; none of some 250
 # others does, nor any of 1,144 clips of people who exercise.
@@ -133,6 +138,24 @@ def stray_joints(positions: Array, middle: Array) -> Flags:
     """Return True for joints too far from the body's middle [m] to be its, (..., J)."""
     away = positions - middle[..., None, :]
     return np.asarray(np.vecdot(away, away) > _REACH**2)
+
+
+def jumps_at_ends(take: Take) -> Flags:
+    """Return True for joints that were elsewhere in the first or last frames, (T, J).
+
+    Up to three frames, of each part between long gaps. In between, smoothing cures it.
+    """
+    wrong, time, path = np.zeros(take.state.shape, bool), take.time, take.positions
+    for part in parts_of(time):
+        frames = np.arange(len(time))[part]
+        for some in (frames[:_AT_END], frames[::-1][:_AT_END]):
+            if len(some) == _AT_END:
+                steps = np.diff(path[some], axis=0) / np.diff(time[some])[:, None, None]
+                change = np.linalg.norm(np.diff(steps, axis=0), axis=2)
+                jump = (change[:-1] > _JUMP) & (change[1:] < change[:-1] / 3.0)
+                for k in range(len(jump)):
+                    wrong[some[: k + 1]] |= jump[k]
+    return wrong
 
 
 def sunken_frames(take: Take) -> Flags:

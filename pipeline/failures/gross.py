@@ -52,6 +52,7 @@ class FailureKind(StrEnum):
     FALLEN_APART = "out of shape before the sensor lost it"
     SUNKEN = "below the floor"
     STRAY = "meters away from the body"
+    OFF_AT_END = "elsewhere in the first or last frames"
     JUMPING = "jumping faster than a person can move"
 
     @property
@@ -67,6 +68,7 @@ _IMPOSSIBLE_BODY = (
     FailureKind.SUNKEN,
 )
 """Failures whose frames say nothing about the person."""
+_IMPOSSIBLE_JOINT = (FailureKind.STRAY, FailureKind.OFF_AT_END)
 _IMPOSSIBLE_LIMB = (FailureKind.BENT_BACKWARDS, FailureKind.THROUGH_HEAD)
 """Failures whose limbs are removed, and so reconstructed as if they had been hidden: in
 18 recorded limbs beside mocap, which decided this and whose people the prior knows, 15
@@ -79,7 +81,7 @@ _REMEDIES = {
     FailureKind.MIRRORED: "swapped back",
     FailureKind.DISPLACED: "moved to where the rest of the take suggests; check it",
     **dict.fromkeys(
-        (*_IMPOSSIBLE_BODY, FailureKind.STRAY, *_IMPOSSIBLE_LIMB),
+        (*_IMPOSSIBLE_BODY, *_IMPOSSIBLE_JOINT, *_IMPOSSIBLE_LIMB),
         "removed and filled in from frames around it",
     ),
     FailureKind.JUMPING: "left as measured; cut the take if it is another person",
@@ -152,6 +154,10 @@ def find_failures(
     found += stretches(time, kind.ELSEWHERE, "body", wrong)
     found += stretches(time, kind.JUMPING, "body", jumps)
     take = take.without(lost_joints(found, take))
+    off = bodies.jumps_at_ends(take)
+    for joint, frames in zip(take.skeleton.joints, off.T, strict=True):
+        found += stretches(time, kind.OFF_AT_END, joint, frames)
+    take = take.without(lost_joints(found, take))
     for part in EXCHANGED:
         frames = exchanged_frames(_limbs_put_back(take, found), part)
         found += stretches(time, kind.MIRRORED, part, frames)
@@ -205,7 +211,7 @@ def lost_joints(failures: Iterable[Failure], take: Take) -> Flags:
     for failure in failures:
         if failure.kind in _IMPOSSIBLE_BODY:
             lost[failure.frames] = True
-        elif failure.kind is FailureKind.STRAY:
+        elif failure.kind in _IMPOSSIBLE_JOINT:
             lost[failure.frames, skeleton.index(failure.part)] = True
         elif failure.kind in _IMPOSSIBLE_LIMB:
             side, limb = failure.part.split()

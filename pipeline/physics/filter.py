@@ -24,7 +24,6 @@ from .scene_props import SceneProps
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 _PLACE = 0.03  # m that toes move in a step, and not at rest. A guess.
-_UNEVEN = 5.0  # m/s by which joints do not change their speed between frames. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
 # Of resets. Guesses.
 _FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
@@ -128,14 +127,6 @@ class _Cue:
             stands = stands & person.stands[before] & (away < _PLACE)
         return np.asarray(stands)
 
-    def begins_evenly(self, k: int) -> bool:
-        """Whether the first two moves from a time stamp are about as fast."""
-        some = slice(self._after[k], self._after[k] + 3)
-        path, time = self._person.positions[some], self._person.time[some]
-        velocities = np.diff(path, axis=0) / np.diff(time)[:, None, None]
-        change = np.linalg.norm(np.diff(velocities, axis=0), axis=-1)
-        return bool((change < _UNEVEN).all())
-
     def move(self, k: int, dt: float) -> Move:
         """Return the move to a time stamp that comes ``dt`` [s] after the last."""
         character, after = self.character, int(self._after[k])
@@ -221,8 +212,7 @@ def pull_through(
                 held = [cue.character.plan(*cue.target(k), 1 / 30) for cue in cues]
                 world.follow(held, stands)
             for cue in cues:
-                if cue.begins_evenly(k):
-                    cue.character.fastest_start = np.inf
+                cue.character.fastest_start = np.inf  # as its target was smoothed
             good = np.ones(len(cues), dtype=bool)
         else:
             good = world.follow([cue.move(k, dt) for cue in cues], stands)
