@@ -24,6 +24,7 @@ from .scene_props import SceneProps
 _SETTLING = 10  # frames of 1/30 s: longer than a foot takes to bear the body
 _UNSEEN = 0.2  # s between two frames of a person who is then out of view. A guess.
 _PLACE = 0.03  # m that toes move in a step, and not at rest. A guess.
+_SUNK = 0.004  # m that soles sink at most. Few do, as contact is firm. A guess.
 _CHUNK = 4096  # frames at a time, to bound the memory
 # Of resets. Guesses.
 _FOLLOWED = 0.1  # m of a joint from its target, up to which it follows
@@ -176,7 +177,7 @@ class _Cue:
             # them may move feet into the floor.
             turns = self._turns[some] = within_ranges(self._turns[some], body.skeleton)
             joints[some] = positions_from_rotations(turns, self._roots[some], body)
-            deep = floor_penetration(joints[some, :, 1], clearances(body))
+            deep = floor_penetration(joints[some, :, 1], clearances(body), _SUNK)
             joints[some, :, 1] += deep[:, None]
             away = np.linalg.norm(joints[some] - person.positions[some], axis=-1)
             self._trace.tracking_error[some] = away.mean(axis=-1)

@@ -196,14 +196,16 @@ def clearances(body: Body) -> Array:
     return found
 
 
-def floor_penetration(heights: Array, clearance: Array) -> Array:
-    """Return the depth [m] of a body in the floor beyond what contact allows, (...).
+def floor_penetration(
+    heights: Array, clearance: Array, allowed: float = _DEEPEST
+) -> Array:
+    """Return the depth [m] of a body in the floor beyond what is allowed [m], (...).
 
     Heights [m] of joints, shape (..., J), are compared with their ``clearances``. A
     jump of the tracker can throw the character into the floor within a single step.
     """
     depth = (clearance - heights).max(axis=-1)
-    return np.asarray(np.maximum(depth - _DEEPEST, 0.0))
+    return np.asarray(np.maximum(depth - allowed, 0.0))
 
 
 def find_placement(positions: Array, skeleton: Skeleton) -> HeadingFrame:
