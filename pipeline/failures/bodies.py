@@ -8,14 +8,15 @@ import numpy as np
 from kinefilter.characters import Body, Take
 from kinefilter.characters.arrays import Array, Flags, Indices, runs
 from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 
 _TOP_SPEED = 20.0
 """Speed [m/s] beyond any person: sprinters reach 12.4 and recorded bodies 11.4, but
 trackers that jump from one person to another 50 to 70."""
 _NOISE = 0.5  # m by which the middle of a body may be off
-# m, and m/s over the speed in the frames around it, by which a body may move in a
-# frame, where both sides are known. In 264 recorded takes six steps are over 0.28 m.
+# What a body may move between two frames: m, plus m/s over its lower speed before and
+# after. In 264 recorded takes, six steps at 30 Hz are over 0.28 m.
 _STEP, _SPURT = 0.15, 4.0
 _RANGE = 20.0  # m, beyond the range of any depth sensor
 _BRIEF = 0.5  # s: a body that is elsewhere for less than this was never there. A guess.
@@ -146,12 +147,14 @@ def jumps_at_ends(take: Take) -> Flags:
     Up to three frames, of each part between long gaps. In between, smoothing cures it.
     """
     wrong, time, path = np.zeros(take.state.shape, bool), take.time, take.positions
+    least = 0.5 * nominal_step(time)  # time stamps may tremble
     for part in parts_of(time):
         frames = np.arange(len(time))[part]
         for some in (frames[:_AT_END], frames[::-1][:_AT_END]):
             if len(some) == _AT_END:
-                steps = np.diff(path[some], axis=0) / np.diff(time[some])[:, None, None]
-                change = np.linalg.norm(np.diff(steps, axis=0), axis=2)
+                seconds = np.maximum(np.abs(np.diff(time[some])), least)
+                speeds = np.diff(path[some], axis=0) / seconds[:, None, None]
+                change = np.linalg.norm(np.diff(speeds, axis=0), axis=2)
                 jump = (change[:-1] > _JUMP) & (change[1:] < change[:-1] / 3.0)
                 for k in range(len(jump)):
                     wrong[some[: k + 1]] |= jump[k]
