@@ -26,6 +26,7 @@ from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Skeleton, St
 from kinefilter.characters.anthropometry import standard_body
 from kinefilter.characters.arrays import Array, Codes
 from kinefilter.characters.rotations import IDENTITY, multiply, rotate
+from kinefilter.pipeline.reliability import column_medians, segment_lengths
 from kinefilter.retarget.rig_map import listed, load_source_rig, matching_source_rig
 
 from .acclaim import read_amc, read_asf
@@ -253,11 +254,9 @@ def find_unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, f
     If none fits, its name is empty and the length the scale to a standard body. Raises
     InputError if all joints are in one place.
     """
-    ends = skeleton.segments
-    bones = positions[:, ends] - positions[:, skeleton.segment_parents]
-    norms = [n[np.isfinite(n)] for n in np.linalg.norm(bones, axis=2).T]
-    lengths = np.array([np.median(n) if len(n) else 0.0 for n in norms])
-    usual = standard_body(skeleton).lengths[ends]
+    medians = column_medians(segment_lengths(positions, skeleton))
+    lengths = np.where(np.isnan(medians), 0.0, medians)
+    usual = standard_body(skeleton).lengths
     known = lengths > 1e-3 * max(lengths.max(), 1e-12)
     if not known.any() or not np.isfinite(lengths).all():
         raise InputError(f"{source}: all joints are in one place; give recorded motion")
