@@ -40,7 +40,7 @@ def test_a_clip_is_near_unless_a_joint_is_far_off_for_long(
 def test_a_box_rises_only_if_it_is_held() -> None:
     pair = simulate("box", "lift_box", seed=3)
     take = replace(pair.take, positions=pair.truth)
-    results = (cleaned_in("box", take, holds=holds) for holds in (True, False))
+    results = (cleaned_in("box", take, rival) for rival in (None, "not held"))
     held, left = (_figures_held(result, (0.0, 0.25))["peak"] for result in results)
     assert held > 0.6
     assert left < 0.3
@@ -48,7 +48,7 @@ def test_a_box_rises_only_if_it_is_held() -> None:
 
 def test_dribbles_are_bounces_from_hand_to_hand() -> None:
     take = truth_of(simulate("basketball", "dribble", seed=7))
-    held, left = (cleaned_in("basketball", take, holds=h) for h in (True, False))
+    held, left = (cleaned_in("basketball", take, r) for r in (None, "not held"))
     assert count_dribbles(held) >= 5
     assert count_dribbles(left) == 0
 

@@ -5,6 +5,7 @@ Mimed lifts of a box and dribbles of a ball: do they go where the hands do?
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
+from functools import partial
 from itertools import pairwise
 from unittest import mock
 
@@ -149,12 +150,13 @@ def _mean_and_worst(name: str, values: Sequence[float]) -> tuple[Cell, Cell]:
 
 
 def _sorted_takes(name: str, by_group: dict[str, list[float]]) -> Panel:
-    lines = [
-        Series(group, np.linspace(0.0, 100.0, len(values)).tolist(), sorted(values))
-        for group, values in by_group.items()
-        if values
-    ]
+    lines = [_sorted(group, values) for group, values in by_group.items() if values]
     return Panel("share of the takes, %", name, lines)
+
+
+def _sorted(label: str, values: Sequence[float]) -> Series:
+    shares = np.linspace(0.0, 100.0, len(values)).tolist()
+    return Series(label, shares, sorted(values))
 
 
 _FIRST_MIME = 5000  # of the first performance; the rules were chosen on seeds under 300
@@ -165,6 +167,11 @@ floor, or on the table, upright or on its side."""
 _OFTEN = 5  # dribbles
 _SEATED = (("chair", "sit_to_stand"), ("chair", "chair"), ("office", "office"))
 _MEANS = ("peak", "force", "skate", "jitter")
+_RIVALS = {
+    "not held": partial(mock.patch.object, world, "add_ties"),
+    "no seat": partial(mock.patch.object, Seat, "_is_borne", return_value=False),
+}
+"""What physics does without: hands that hold things, and seats that bear."""
 
 
 def held_box(options: Options, *, count: int = 20) -> Study:
@@ -180,8 +187,8 @@ def held_box(options: Options, *, count: int = 20) -> Study:
     for motion, height in _MOTIONS.items():
         for row, results in _performances(options, "box", motion, count):
             figures = [_figures_held(result, height) for result in results]
-            values = sorted(f["peak"] for f in figures)
-            peaks.append(Series(row, np.linspace(0.0, 100.0, count).tolist(), values))
+            values = [f["peak"] for f in figures]
+            peaks.append(_sorted(row, values))
             lifted = sum(peak > _LIFTED for peak in values)
             down = sum(bool(f["put_down"]) for f in figures)
             means = (float(np.mean([f[key] for f in figures])) for key in _MEANS)
@@ -206,8 +213,8 @@ def dribbled_ball(options: Options, *, count: int = 20) -> Study:
     rows: list[list[Cell]] = []
     panel: list[Series] = []
     for row, results in _performances(options, "basketball", "dribble", count):
-        dribbles = sorted(map(count_dribbles, results))
-        panel.append(Series(row, np.linspace(0.0, 100.0, count).tolist(), dribbles))
+        dribbles = list(map(count_dribbles, results))
+        panel.append(_sorted(row, dribbles))
         five = sum(number >= _OFTEN for number in dribbles)
         force = np.mean([result.clip.external_force.mean() for result in results])
         jitter = np.mean([result.stages["physics"].jitter for result in results])
@@ -230,18 +237,11 @@ def chairs(options: Options, *, count: int = 10) -> Study:
     """
     rows: list[list[Cell]] = []
     panel: list[Series] = []
-    shares = np.linspace(0.0, 100.0, count).tolist()
     for scene, motion in _SEATED:
-        for name, takes in _mimed(options, scene, motion, count):
-            for bears in (True, False):
-                row = f"{motion}, {name}" if bears else f"{motion}, {name}, no seat"
-                runs = options.progress(row, count)
-                never = mock.patch.object(Seat, "_is_borne", return_value=False)
-                with nullcontext() if bears else never:
-                    results = [clean(takes[k], CleanConfig(scene=scene)) for k in runs]
-                figures = np.transpose([_figures_seated(result) for result in results])
-                panel.append(Series(row, shares, sorted(figures[0].tolist())))
-                rows.append([row, count, *figures.mean(axis=1).tolist()])
+        for row, results in _performances(options, scene, motion, count, "no seat"):
+            figures = np.transpose([_figures_seated(result) for result in results])
+            panel.append(_sorted(row, figures[0].tolist()))
+            rows.append([row, count, *figures.mean(axis=1).tolist()])
     header = (
         *("performances", "takes", "force_body_weights", "force_95_body_weights"),
         *("jitter_m_per_s3", "skate_mm_per_frame"),
@@ -273,30 +273,26 @@ def count_dribbles(result: CleanResult) -> int:
 
 
 def _performances(
-    options: Options, scene: str, motion: str, count: int
+    options: Options, scene: str, motion: str, count: int, rival: str = "not held"
 ) -> Iterator[tuple[str, list[CleanResult]]]:
-    """Yield the name of a row, and what comes of all performances."""
-    for name, takes in _mimed(options, scene, motion, count):
-        for holds in (True, False):
-            row = f"{motion}, {name}" if holds else f"{motion}, {name}, not held"
-            runs = options.progress(row, count)
-            yield row, [cleaned_in(scene, takes[k], holds=holds) for k in runs]
+    """Yield the name of a row, and what comes of all performances.
 
-
-def _mimed(
-    options: Options, scene: str, motion: str, count: int
-) -> Iterator[tuple[str, list[Take]]]:
-    """Yield the performances as they were, then as seen, with the name of either."""
+    They are taken as they were, then as seen; each by physics, then by its rival.
+    """
     first = _FIRST_MIME + 1000 * options.seed
     simulated = options.progress(motion, count)
     pairs = [simulate(scene, motion, seed=first + k) for k in simulated]
-    yield "as performed", list(map(truth_of, pairs))
-    yield "seen by a Kinect", [pair.take for pair in pairs]
+    truth, seen = list(map(truth_of, pairs)), [pair.take for pair in pairs]
+    for name, takes in (("as performed", truth), ("seen by a Kinect", seen)):
+        for without in (None, rival):
+            row = ", ".join(filter(None, (motion, name, without)))
+            runs = options.progress(row, count)
+            yield row, [cleaned_in(scene, takes[k], without) for k in runs]
 
 
-def cleaned_in(scene: str, take: Take, *, holds: bool) -> CleanResult:
-    """Clean a take in a scene, in which hands hold things or never do."""
-    with nullcontext() if holds else mock.patch.object(world, "add_ties"):
+def cleaned_in(scene: str, take: Take, without: str | None = None) -> CleanResult:
+    """Clean a take in a scene, without what one of ``_RIVALS`` lacks."""
+    with _RIVALS[without]() if without else nullcontext():
         return clean(take, CleanConfig(scene=scene))
 
 
