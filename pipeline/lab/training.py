@@ -1,5 +1,6 @@
 """Training sets: pairs of Kinect and mocap on the standard body; and what learns."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
@@ -36,7 +37,7 @@ def training_set(
     pairs, or if their skeletons differ.
     """
     skeleton: Skeleton | None = None
-    parts = [Spool(np.float64) for _ in range(6)]
+    spools: dict[str, Spool] = defaultdict(lambda: Spool(np.float64))
     counts: list[int] = []
     subjects: dict[str, int] = {}
     people: list[int] = []
@@ -49,35 +50,25 @@ def training_set(
                 "skeleton"
             )
         draft = observed(pair, config)
-        rows = (
-            draft.standard,
-            draft.reliability,
-            standard_truth(pair, draft),
-            np.tile(draft.body.lengths, (len(pair.take), 1)),
-            draft.time,
-            draft.heading.origin,
-        )
-        for part, array in zip(parts, rows, strict=True):
-            part.add(array)
+        spools["positions"].add(draft.standard)
+        spools["reliability"].add(draft.reliability)
+        spools["truth"].add(standard_truth(pair, draft))
+        spools["lengths"].add(np.tile(draft.body.lengths, (len(pair.take), 1)))
+        spools["time"].add(draft.time)
+        spools["sensor"].add(draft.heading.origin)
         counts.append(len(pair.take))
         people.append(subjects.setdefault(pair.subject, len(subjects)))
     if skeleton is None:
         raise InputError("no clips to learn from; give pairs files with clips in them")
     first = np.concatenate([np.arange(count) == 0 for count in counts])
     names = sorted(subjects) if len(subjects) <= 20 else [f"{len(subjects)} people"]
-    positions, reliability, truth, lengths, time, sensor = (p.array() for p in parts)
     return TrainingSet(
-        positions,
-        reliability,
-        truth,
-        first,
-        skeleton,
-        f"{counted(len(counts), 'clip')} of {', '.join(names)}",
-        lengths,
-        np.repeat(people, counts),
-        tuple(subjects),
-        time,
-        sensor,
+        **{name: spool.array() for name, spool in spools.items()},
+        first=first,
+        skeleton=skeleton,
+        source=f"{counted(len(counts), 'clip')} of {', '.join(names)}",
+        person=np.repeat(people, counts),
+        people=tuple(subjects),
     )
 
 
