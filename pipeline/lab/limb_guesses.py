@@ -53,9 +53,7 @@ def hide(
         else:
             positions[span, j] += drift[int(skeleton.joints[j].endswith("Left"))]
     # A joint that was missing before the gap, or whose parent is, gets no guess.
-    guesses = positions[span][:, joints]
-    missing = np.any(np.isnan(guesses), axis=2)
-    positions[span, joints] = np.where(missing[..., None], np.nan, guesses)
+    missing = np.any(np.isnan(positions[span][:, joints]), axis=2)
     state[span, joints] = np.where(missing, State.NOT_TRACKED, State.INFERRED)
     return replace(take, positions=positions, state=state)
 
