@@ -28,7 +28,7 @@ _LEAN = np.radians(3.0)
 # Tilts that may be the person's own lean, and that cannot: of people who lean forward,
 # and of those who do not, like scripted ones who balance on their ankles. What is
 # between counts in part. Guesses.
-_FORWARD, _BACK = np.radians([[1.0, 3.0], [3.0, 4.5]])
+_FORWARD, _BACK = np.radians([[1.0, 3.0], [3.75, 4.25]])
 _MOST_TILT = np.radians(15.0)  # what is more is found by ``upright``
 _LEAST_FRAMES = 15  # standing: half a second
 _STEADY = np.radians(2.0)  # interquartile range of the lean in these frames
