@@ -31,7 +31,7 @@ from .target.target_stages import Feet
 _FULL = 0.15  # within it only the edited target counts
 _FADED = 0.4  # beyond it the edited target does not count: physics lags behind
 _AROUND = 0.5  # beyond it nothing changes, nor does a pin move its joint
-_SETTLED = 0.3  # last part of that, in which physics blends into the previous motion
+_SETTLED = 0.4  # last part of that, in which physics blends into the previous motion
 _CONTEXT = 1.0  # beyond it, frames that smoothing and physics need as a lead-in
 _MOVED = 1e-4  # m
 _OF_TAKE = ("distrust", "exchange")  # edits that change the take itself

@@ -237,7 +237,7 @@ def test_a_foot_stands_where_it_is_said_and_nothing_slides_for_that(
     told += table("distrust", begin, end, '"right-arm"')
     both = cleaned(take, edited(tmp_path, told))
     moved = [apart(one, plain).max(axis=1) > 1e-4 for one in (found, both)]
-    assert (moved[1] & ~moved[0]).sum() <= 10
+    assert (moved[1] & ~moved[0]).sum() < 10
 
 
 def test_edits_of_several_sensors_move_nothing_else_either() -> None:

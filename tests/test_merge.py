@@ -258,9 +258,8 @@ def test_command_writes_a_take_that_reads_back(
     assert sum(sensor["share"] for sensor in sensors) == pytest.approx(1.0)
 
 
-def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
-    """It is truer than the clip of either sensor alone."""
-    found = session(9)
+def _errors_alone_and_merged(tmp_path: Path, seed: int) -> list[float]:
+    found = session(seed)
     paths = _written(tmp_path, *found.takes)
     errors, measured = list[float](), list[float]()
     other = found._replace(takes=found.takes[::-1], truths=found.truths[::-1])
@@ -272,8 +271,15 @@ def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
         truth = leveled(truth, clip.tilt, clip.roll)
         errors.append(error(clip.positions[inside], truth, found.takes[0]))
         measured.append(np.mean(clip.origin == Origin.MEASURED))
-    assert errors[2] < 0.97 * min(errors[:2]), errors
     assert measured[2] > 0.9 * min(measured[:2]), measured
+    return errors
+
+
+def test_clean_makes_one_clip_of_two_sensors(tmp_path: Path) -> None:
+    """It is truer than the better of the sensors alone, over several sessions."""
+    errors = [_errors_alone_and_merged(tmp_path, seed) for seed in (5, 7, 9, 11, 13)]
+    *alone, merged = np.transpose(errors)
+    assert merged.mean() < 0.95 * np.minimum(*alone).mean(), errors
 
 
 def test_what_only_several_sensors_have_needs_several(

@@ -57,7 +57,9 @@ _FAR, _NEAR = 0.4, 0.8
 # Seconds over which similarity is averaged: that of a part, that of the posture, and
 # the share of the constant offset that follows from it.
 _FAST, _MEDIUM, _SLOW = 0.5, 3.0, 10.0
-_POWER = 16  # of the mean of that share: familiar frames tell it, strange ones do not
+# Power of the mean of that share: familiar frames tell it, strange ones do not. Chosen
+# on s02 and s07, and on walks of CMU.
+_POWER = 16
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
@@ -241,7 +243,7 @@ class FourierRidge(LearnedCorrector):
         points, now = self._posture_features.points(posture), float(observation.time)
         if not self._past:
             self._began = now
-        elapsed = now - self._past[-1][0] if self._past else 1.0
+        elapsed = now - self._past[-1][0] if self._past else 0.0
         past = [(time, x) for time, x in self._past if now - time < REACH]
         self._past = [*past, (now, points)]
         times, around = map(np.array, zip(*self._past, strict=True))

@@ -16,7 +16,7 @@ _TOP_SPEED = 20.0
 trackers that jump from one person to another 50 to 70."""
 _NOISE = 0.5  # m by which the middle of a body may be off
 # What a body may move between two frames: m, plus m/s over its lower speed before and
-# after. In 264 recorded takes, six steps at 30 Hz are over 0.28 m.
+# after. Guesses: in 264 recorded takes six steps, at 30 Hz, are longer than 0.28 m.
 _STEP, _SPURT = 0.15, 4.0
 _RANGE = 20.0  # m, beyond the range of any depth sensor
 _BRIEF = 0.5  # s: a body that is elsewhere for less than this was never there. A guess.
@@ -144,7 +144,8 @@ def stray_joints(positions: Array, middle: Array) -> Flags:
 def jumps_at_ends(take: Take) -> Flags:
     """Return True for joints that were elsewhere in the first or last frames, (T, J).
 
-    Up to three frames, of each part between long gaps. In between, smoothing cures it.
+    Up to three frames, of each part between long gaps. In between, smoothing evens out
+    most of what is as brief.
     """
     wrong, time, path = np.zeros(take.state.shape, bool), take.time, take.positions
     least = 0.5 * nominal_step(time)  # time stamps may tremble
@@ -156,8 +157,9 @@ def jumps_at_ends(take: Take) -> Flags:
                 speeds = np.diff(path[some], axis=0) / seconds[:, None, None]
                 change = np.linalg.norm(np.diff(speeds, axis=0), axis=2)
                 jump = (change[:-1] > _JUMP) & (change[1:] < change[:-1] / 3.0)
-                for k in range(len(jump)):
-                    wrong[some[: k + 1]] |= jump[k]
+                # All frames before the last jump.
+                jump = np.logical_or.accumulate(jump[::-1])[::-1]
+                wrong[some[: len(jump)]] |= jump
     return wrong
 
 
@@ -199,21 +201,21 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(time)
     speeds = np.pad(steps, 1, mode="edge") if len(steps) else np.zeros(2)
 
-    def moved(first: Indices, last: Indices) -> Flags:
-        """Return True where the person could get from frame to frame, (N,)."""
+    def gets_there(first: Indices, last: Indices) -> Flags:
+        """Return True where the person can get from one frame to the other, (N,)."""
         seconds, start, end = time[last] - time[first], places[first], places[last]
         usual = np.minimum(speeds[first], speeds[last + 1]) + _SPURT
         even = np.linalg.norm(end - start, axis=-1) < _STEP + usual * seconds
         return np.asarray(even & _reachable(start, end, seconds))
 
     there = np.arange(len(known))
-    pieces = np.split(there, 1 + np.flatnonzero(~moved(there[:-1], there[1:])))
+    pieces = np.split(there, 1 + np.flatnonzero(~gets_there(there[:-1], there[1:])))
     longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece to the end of the take, then to its beginning.
     for way in (pieces[longest:], [p[::-1] for p in pieces[longest::-1]]):
         last = way[0][-1]
         for piece in way[1:]:
-            if not moved(*np.sort([[last], piece[:1]], axis=0)).all():
+            if not gets_there(*sorted((last, piece[0]))):
                 far = np.linalg.norm(places[piece[0]] - places[last]) > _RANGE
                 if far or np.ptp(time[piece]) < _BRIEF:
                     wrong[known[piece]] = True
