@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_session import SAMPLE, WS, config, do, pose, reading, running, sample_frame
+from live_session import SAMPLE, config, do, pose, reading, running, sample_frame
 from published_layouts import landmarks
 from test_keypoints import scripted
 
@@ -80,16 +81,13 @@ def test_a_replay_of_another_tracker_tells_that_live_expects_a_kinect(
 def test_a_replay_connects_again_when_live_comes_back() -> None:
     said: list[str] = []
 
-    async def session() -> None:
-        async with running(config(source=WS)) as (_, (source, _)):
-            pass
-        address = parse_address(str(source), ("ws",))
+    async def session(source: str) -> None:
+        address = parse_address(source, ("ws",))
         async with open_sender(address, say=said.append) as send:  # nobody is there
             assert not await send("lost")
             await asyncio.sleep(0.5)  # for a second attempt
             assert said == [f"waiting for {address}; frames until then are lost"]
-            again = config(source=str(source))
-            async with running(again) as (_, (_, out)), reading(out) as stream:
+            async with running(config(source=source)) as (_, (_, out)), reading(out) as stream:
                 asking = asyncio.ensure_future(pose(stream))
                 row = 0
                 while not asking.done():
@@ -99,7 +97,10 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
                 assert asking.result()["body"] == "1"
                 assert len(said) == 1
 
-    do(session())
+    with socket.socket() as held:  # so that no other process is given the port meanwhile
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        held.bind(("127.0.0.1", 0))
+        do(session(f"ws://127.0.0.1:{held.getsockname()[1]}"))
 
 
 def test_a_replay_that_is_always_late_can_be_stopped() -> None:
