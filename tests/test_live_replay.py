@@ -87,7 +87,10 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
             assert not await send("lost")
             await asyncio.sleep(0.5)  # for a second attempt
             assert said == [f"waiting for {address}; frames until then are lost"]
-            async with running(config(source=source)) as (_, (_, out)), reading(out) as stream:
+            async with (
+                running(config(source=source)) as (_, (_, out)),
+                reading(out) as stream,
+            ):
                 asking = asyncio.ensure_future(pose(stream))
                 row = 0
                 while not asking.done():
@@ -97,7 +100,9 @@ def test_a_replay_connects_again_when_live_comes_back() -> None:
                 assert asking.result()["body"] == "1"
                 assert len(said) == 1
 
-    with socket.socket() as held:  # so that no other process is given the port meanwhile
+    with (
+        socket.socket() as held
+    ):  # so that no other process is given the port meanwhile
         held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         held.bind(("127.0.0.1", 0))
         do(session(f"ws://127.0.0.1:{held.getsockname()[1]}"))

@@ -63,6 +63,10 @@ _POWER = 16
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
+# Similarity to people with markers, some of whom stand turned as well, up to which the
+# similarity to people before two sensors may fall behind it, or be ahead, for both to
+# count. Chosen on s02, s07 and s08, and on p00 to p08.
+_TIED = 0.02
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
@@ -312,7 +316,7 @@ class FourierRidge(LearnedCorrector):
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
         turn = _turn(found.toward, float(self.turn_share_))
-        turn = _ramp(found.similar[..., 1], _FAR, _NEAR) * turn
+        turn = _beside_share(found.similar)[..., 0] * turn
         if turn.any():
             for pair in self._pairs:
                 middle = moved[..., pair, :].mean(axis=-2)
@@ -369,9 +373,14 @@ def _shares(similar: Array, toward: Array) -> Array:
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:
-    """Return how far a view is off-frontal, in [0, 1]; 0 if unlike the training."""
-    off_frontal = _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL)
-    return off_frontal * _ramp(similar[..., 1:], _FAR, _NEAR)
+    """Return how much the training data of two sensors decides, in [0, 1]."""
+    return _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL) * _beside_share(similar)
+
+
+def _beside_share(similar: Array) -> Array:
+    """Return how much more like that data than like the other postures are (..., 1)."""
+    frontal, beside = similar[..., :1], similar[..., 1:]
+    return _ramp(beside, _FAR, _NEAR) * _ramp(beside - frontal, -_TIED, _TIED)
 
 
 def turned_away(toward: Array) -> Array:

@@ -29,6 +29,7 @@ from kinefilter.pipeline.workers import workers
 from .accuracy import FAR, Accuracy, Tally, area_under_roc
 from .bench import Timed
 from .database_build import database_from_pairs
+from .methods.training_data import TrainingSet
 from .systems import CorrectorFactory, System, as_step, systems_of
 
 _FEWEST_FOR_PROCESSES = 100  # cleaned clips from which starting processes pays off
@@ -47,6 +48,7 @@ def evaluate(
     assigned: Sequence[str] = (),
     physics: bool = True,
     database: PostureDatabase | Literal["mocap"] | None = None,
+    views: TrainingSet | None = None,
     live: bool = False,
     every: int = 1,
     progress: Progress = silent,
@@ -57,8 +59,9 @@ def evaluate(
     clips, from ``read_pairs``, are in place of files, and ``assigned`` is ``--set``.
     ``methods`` may also contain correctors of your own, named after their class.
     ``database`` is by default the built-in one, and with ``mocap`` made of the training
-    clips. Raises an InputError if a method is unknown, if people or repetitions are too
-    few, or if skeletons differ.
+    clips; ``views`` are sessions of two sensors, from which ``learned`` learns as well,
+    as the default has. Raises an InputError if a method is unknown, if people or
+    repetitions are too few, or if skeletons differ.
 
     Besides ``protocol``, ``physics``, ``live`` and the number of ``test_clips``, the
     result has, as floats or None where unknown:
@@ -102,7 +105,12 @@ def evaluate(
             postures = database_from_pairs(over(known, "mocap", progress), skeleton)
         met = {pair.subject for pair in known} & {pair.subject for pair in new}
         school = CorrectorFactory(
-            known, skeleton, people=bool(met), database=postures, progress=progress
+            known,
+            skeleton,
+            people=bool(met),
+            views=views,
+            database=postures,
+            progress=progress,
         )
         trained = [(system, school.corrector(system)) for system in systems]
         trained += own

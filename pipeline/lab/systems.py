@@ -109,7 +109,8 @@ def as_step(every: int) -> int:
 class CorrectorFactory:
     """Makes the correctors of systems, and trains those that learn on the same clips.
 
-    With ``people`` they also learn each person's own offsets. All methods except
+    With ``people`` they also learn each person's own offsets, and with ``views``
+    ``learned`` learns from people before two sensors, too. All methods except
     ``default`` take their postures from ``database``, by default the built-in one;
     ``skeleton`` is by default that of the clips.
     """
@@ -120,10 +121,12 @@ class CorrectorFactory:
         skeleton: Skeleton | None = None,
         *,
         people: bool = False,
+        views: TrainingSet | None = None,
         database: PostureDatabase | None = None,
         progress: Progress = silent,
     ) -> None:
         self._train, self._people, self._progress = [*train], people, progress
+        self._views = views
         self._skeleton = skeleton or self._train[0].take.skeleton
         self._database = database or builtin_database(self._skeleton)
         self._lessons: dict[str, TrainingSet] = {}
@@ -157,9 +160,13 @@ class CorrectorFactory:
         fixed = {k: value for k, value in settings.items() if k not in free}
         key = str((lessons_key, name, sorted(fixed.items())))
         if key not in self._learned:
-            data, people = self._lessons[lessons_key], self._people
             self._learned[key] = teach(
-                name, data, people=people, settings=fixed, progress=self._progress
+                name,
+                self._lessons[lessons_key],
+                views=self._views,
+                people=self._people,
+                settings=fixed,
+                progress=self._progress,
             )
         learned = self._learned[key]
         return learned.adjusted(**settings) if settings else learned

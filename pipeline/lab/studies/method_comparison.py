@@ -27,7 +27,13 @@ from kinefilter.pipeline.target.floor import leveled
 from kinefilter.pipeline.workers import workers
 
 from .study import Options, Panel, Row, Study, series_of
-from .study_takes import clips_of, correction, recorded_folds, recorded_people
+from .study_takes import (
+    clips_of,
+    correction,
+    recorded_folds,
+    recorded_people,
+    view_lessons,
+)
 
 GUESSES: dict[str, Guess | None] = {
     "drifting": "drift",
@@ -186,7 +192,8 @@ def methods_new_people(
 ) -> Study:
     """Test every method on each person, trained on all the others.
 
-    As ``kinefilter evaluate --train PEOPLE --mocap-database``. Errors are means over
+    As ``kinefilter evaluate --train PEOPLE --mocap-database``, but ``learned`` learns
+    from people before two sensors too, as the default has. Errors are means over
     frames and joints, then over people. One in five clips is tested, through the whole
     cleaner. Without recordings, simulated people stand in. At most ``count`` people in
     their first ``movements`` are used.
@@ -214,7 +221,13 @@ def methods_known_people(
     people, progress = recorded_people(options.data)[:count], options.progress
     clips = clips_of(people, movements, options)
     figures = evaluate(
-        clips, [], _METHODS, protocol="repetitions", every=_EVERY, progress=progress
+        clips,
+        [],
+        _METHODS,
+        protocol="repetitions",
+        views=view_lessons(options),
+        every=_EVERY,
+        progress=progress,
     )
     title = "Methods on new repetitions by the people in their training data"
     return _study(title, _errors(figures))
@@ -225,7 +238,8 @@ def _on_person(
 ) -> dict[str, _People]:
     test = clips_of([name], movements, options)[::_EVERY]
     train = clips_of([other for other in people if other != name], movements, options)
-    return _errors(evaluate(train, test, _METHODS, database="mocap"))
+    views = view_lessons(options)
+    return _errors(evaluate(train, test, _METHODS, database="mocap", views=views))
 
 
 def _errors(figures: dict[str, Any]) -> dict[str, _People]:

@@ -19,9 +19,11 @@ from kinefilter.pipeline.correct import Corrector
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.lab.accuracy import LIMBS, Accuracy
 from kinefilter.pipeline.lab.evaluate import folds_of
+from kinefilter.pipeline.lab.methods.training_data import TrainingSet
 from kinefilter.pipeline.lab.simulation import simulate
 from kinefilter.pipeline.lab.systems import CorrectorFactory, systems_of
-from kinefilter.pipeline.lab.training import observed
+from kinefilter.pipeline.lab.training import observed, training_set
+from kinefilter.pipeline.lab.view_sessions import find_sessions, view_pairs
 from kinefilter.pipeline.metrics import jitter
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, over, silent
@@ -146,6 +148,13 @@ def clips_of(
             known = sorted({pair.clip[:3] for pair in own})[:movements]
             clips += [pair for pair in own if pair.clip[:3] in known]
     return clips
+
+
+def view_lessons(options: Options) -> TrainingSet | None:
+    """Return training data of people before two sensors, None without recordings."""
+    if options.data is None or not (folder := options.data / "two-kinects").is_dir():
+        return None
+    return training_set(view_pairs(find_sessions([folder], None)))
 
 
 def _simulated_clips(name: str, movements: int, seed: int) -> Iterator[PairedTake]:
