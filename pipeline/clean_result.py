@@ -20,6 +20,7 @@ from .physics import PhysicsTrace
 from .target.floor import to_world
 from .uncertainty import uncertainty
 
+_GONE = 1.0  # s without any joint, in frames that are there, that are told. A guess
 _OUT_OF_REACH = 0.1  # m from a pin at which its joint is told. A guess
 
 
@@ -156,6 +157,11 @@ def _notes(draft: Draft) -> Iterable[str]:
     joints = draft.skeleton.joints
     if unseen := [joints[j] for j in np.flatnonzero(draft.missing.all(axis=0))]:
         yield f"never tracked, so a guess: {', '.join(unseen)}"
+    since = draft.time - draft.time[0]
+    nobody = np.asarray(draft.missing.all(axis=1))
+    gone = [(since[k.start], since[k.stop - 1]) for k in runs(nobody)]
+    if gone := [(begin, end) for begin, end in gone if end - begin > _GONE]:
+        yield f"nobody in view, so a guess: {times_told(gone)}"
     yield from draft.turn.notes(draft.tilt)
     if draft.turn.roll:
         yield "--tilt 0 leaves the sensor's frame as it is"

@@ -213,6 +213,17 @@ def test_repeated_stamps_dropped_frames_and_holes_are_normal() -> None:
     assert np.all(result.clip.origin[:, lost] == Origin.FILLED)
 
 
+def test_seconds_without_the_person_in_frames_that_are_there_are_told() -> None:
+    take = _perfect("squat").at(slice(150))
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[60:105], state[60:105] = np.nan, State.NOT_TRACKED
+    notes = clean(replace(take, positions=positions, state=state)).notes
+    begin, end = take.time[[60, 104]] - take.time[0]
+    told = f"nobody in view, so a guess: {begin:.1f} to {end:.1f} s"
+    assert told in notes
+    assert not any("nobody in view" in note for note in clean(take).notes)
+
+
 def test_a_second_without_the_person_is_bridged() -> None:
     take = _perfect("squat").at(slice(150))
     positions, state = take.positions.copy(), take.state.copy()

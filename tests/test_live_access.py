@@ -197,3 +197,9 @@ def test_tokens_are_compared_whole() -> None:
     assert access.grants("/", right)
     for wrong in ("Bearer 0123456789abcde", "Basic 0123456789abcdef", "", "Bearer é"):
         assert not access.grants("/", Headers(Authorization=wrong))
+
+
+def test_play_hears_only_this_machine() -> None:
+    """Its ``--bind`` is the page's."""
+    with pytest.raises(InputError, match=r"write 127\.0\.0\.1"):
+        Session(LiveConfig(("udp://0.0.0.0:1",), ()), shown=True)

@@ -141,7 +141,20 @@ def test_what_was_played_is_a_clip_with_the_balls_that_flew(
     assert balls == ["thrown ball 1"]
 
 
-def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> None:
+def test_what_was_played_in_slow_motion_has_frames_at_one_rate(motion: Clip) -> None:
+    ground = Playground(motion, "basic")
+    ground.record()
+    for speed in (1.0, 0.1, 0.5):
+        for _ in range(30):
+            ground.step(speed / RATE)
+    (clip,) = ground.recorded()
+    np.testing.assert_allclose(np.diff(clip.time), 1.0 / RATE, atol=1e-9)
+    assert clip.time[-1] == pytest.approx(1.6 - 1.0 / RATE, abs=1e-6)
+
+
+def test_the_page_plays_records_and_changes(
+    motion: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     save = tmp_path / "play.npz"
     ground = Playground(motion, "basic")
     with opened_server() as server:
@@ -154,18 +167,40 @@ def test_the_page_plays_records_and_changes(motion: Clip, tmp_path: Path) -> Non
             if ground.recording is None:
                 player._record(None)
             _chest(ground, 0.2)
+            ground.step(0.1 / RATE)  # slowed down
+            assert ("recorded", "0.2 s") in player._status_rows()
             player._record(None)
             assert (tmp_path / name).exists()
         player._record(None)
         _chest(ground, 0.2)
         with pytest.raises(InputError, match="recorded"):
             ground.change(scene="box")
+        shown = {frame.name for frame in player._moving}
         player._change(scene="basketball")  # ends the recording
+        # Under names it knows, a browser leaves things where the last scene had them.
+        assert not shown & {frame.name for frame in player._moving}
         assert read_clip(tmp_path / "play.3.npz").props == ()
         player._show()
         assert "ball" in {prop.name for prop in ground.props}
+        player._record(None)
+        player._scenes.value = "box"
+        with pytest.raises(InputError, match="nothing was recorded"):
+            player._change(scene="box")
+        assert player._scenes.value == "basketball" == ground.scene
+        player._record(None)
+        _chest(ground, 0.2)
+        monkeypatch.setattr("kinefilter.pipeline.look.player.write_clip", _full_disk)
+        with pytest.raises(InputError, match="full"):
+            player._record(None)
+        monkeypatch.undo()
+        player._record(None)  # nothing of it is lost
+        assert read_clip(tmp_path / "play.4.npz").time[-1] > 0.15
         player.stop()
         player.run()
+
+
+def _full_disk(_clip: Clip, path: Path) -> None:
+    raise InputError(f"{path}: the disk is full")
 
 
 def test_a_recording_is_saved_when_play_is_ended(
@@ -271,6 +306,11 @@ def test_people_in_front_of_a_sensor_play_on_the_page() -> None:
             await until(lambda: len(page._figures) == 2, "1", "2")
             assert scene.characters[0].limp
             assert "people" in page._status.content
+            page._report("nobody", error=True)
+            await until(lambda: len(page._figures) == 1, "1")
+            assert "nobody" not in page._message.content
+            # Where a skin is removed and nothing replaces it, viser's page goes blank.
+            assert "/mesh2" in server.scene._handle_from_node_name
             page.stop()
             await running
             await drawing

@@ -205,7 +205,7 @@ def _twice(folder: Path) -> None:
         (None, "-o page.txt", r"\.html"),
         (None, "newway=rawtakes", "another system is also called .newway"),
         (None, "name=", "NAME=PATH"),
-        (None, "absent", "absent"),
+        (None, "absent", "absent: there is no such file"),
         (None, "empty", "no .* file in this folder"),
         (None, "--reference absent", "absent"),
         (_shortened, "", "lasts .* the same motion"),

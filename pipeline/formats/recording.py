@@ -193,11 +193,12 @@ def check_extent(positions: Array, source: str) -> None:
             f"person in meters; {unit_hint(span)}"
         )
     distance = np.fmax.reduce(np.abs(positions[seen]).reshape(len(seen), -1), axis=1)
-    far = seen[distance > FARTHEST]
+    far = np.flatnonzero(distance > FARTHEST)
     if len(far):
         raise InputError(
-            f"{source}: frame {far[0] + 1} has a joint {distance.max():.3g} m away, "
-            "out of range of any sensor; correct or delete it, or convert to meters"
+            f"{source}: frame {seen[far[0]] + 1} has a joint {distance[far[0]]:.3g} m "
+            "away, out of range of any sensor; correct or delete it, or convert to "
+            "meters"
         )
 
 

@@ -20,7 +20,7 @@ from kinefilter.characters import Clip, InputError, Skeleton, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.formats.export import WHOLE_CLIPS
-from kinefilter.pipeline.formats.files import as_path, new_text
+from kinefilter.pipeline.formats.files import as_path, check_file, new_text
 from kinefilter.pipeline.look.comparison import laid_onto_clip
 from kinefilter.pipeline.look.drawing import read_finite_clip
 from kinefilter.pipeline.look.page import facing, millimeters, packed, write_page
@@ -64,6 +64,7 @@ def find_systems(words: Sequence[str]) -> dict[str, Motions]:
 def motions_of(path: Path) -> Motions:
     """Return the motions in a file or folder by file name; InputError if not unique."""
     if not path.is_dir():
+        check_file(path)
         return {_motion_in(Path(path.name)): path}
     found: Motions = {}
     for file in sorted(path.rglob("*")):

@@ -151,6 +151,8 @@ class CorrectorFactory:
     def _trained(
         self, config: CleanConfig, name: str, settings: dict[str, Any]
     ) -> LearnedCorrector:
+        if not self._train:
+            raise InputError(f"method {name} learns: give pairs files with --train")
         scoring = (config.scoring, config.preset is None, config.parameters.scorer)
         lessons_key = str(scoring)
         if lessons_key not in self._lessons:

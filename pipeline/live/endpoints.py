@@ -141,6 +141,10 @@ def find_endpoints(
         raise InputError("--out is missing; give one, such as --out -")
     for k, end in enumerate(ends):
         if end.scheme in ("udp", "ws", "wss"):
+            if shown and not is_loopback(end.host):
+                raise InputError(
+                    f"{end}: play hears only this machine; write 127.0.0.1, or use live"
+                )
             ends[k] = end._replace(host=listening_host(end, access.bind))
     schemes = {end.scheme for end in ends}
     if schemes & {"ws", "wss"}:

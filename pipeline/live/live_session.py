@@ -208,6 +208,8 @@ class Session:
             note = f"a {type(command).__name__.lower()} names {names}"
             if scene is None and not isinstance(command, Push):
                 note = "throws and places need --scene"
+            elif isinstance(command, Throw):
+                note = "nobody has come yet; throw once there is somebody"
             raise MalformedError(Reason.UNKNOWN, note)
         self.tally.events[Event.OBEYED] += 1
 

@@ -234,7 +234,7 @@ def _check(clip: Clip, take: Take) -> None:
     _check_skeletons(clip, take)
     if len(clip) != len(take):
         counts = f"the clip has {len(clip)} frames, the take {len(take)}"
-        hint = "and without --fps, --begin or --end"
+        hint = "of several people with --body; and without --fps, --begin or --end"
         if gaps := describe_gaps(long_gaps(take.time), take.time[0]):
             hint += (
                 f"; the take has {gaps[0]}: there BVH gets frames of its own, and "

@@ -27,6 +27,7 @@ class LivePage(PlayPage):
         while self._serve(0.0):
             if scene.people is not self._people:
                 self._people = scene.people
+                self._report("")  # that nobody was there, for instance
                 self._draw_scene()
             self._show()
             await asyncio.sleep(1.0 / _RATE)

@@ -48,6 +48,7 @@ class PlayPage(ServedPage):
     def __init__(self, server: viser.ViserServer, ground: Playable) -> None:
         super().__init__(server)
         self._ground, self._status_shown = ground, 0.0
+        self._skins: set[str] = set()  # names that skins have had so far
         self._add_panel(server.gui)
         self._on(server.scene.on_click(), self._throw_at, whole=True)
         self._on(server.scene.on_click(modifier="shift"), self._shove_at, whole=True)
@@ -96,13 +97,19 @@ class PlayPage(ServedPage):
             server.scene.reset()
             set_stage(server, Drawing(self._framed))
             self._figures: list[tuple[Any, Any]] = []  # what poses skin and grips
+            drawn = set[str]()
             for number, character in enumerate(ground.characters):
                 end = str(number + 1) if number else ""
                 _, pose = add_skin(server.scene, character.body, f"/mesh{end}")
+                drawn.add(f"/mesh{end}")
                 grips, place = _add_grips(server.scene, character.body, f"/grips{end}")
                 drag = partial(self._drag, number=number)
                 self._on(grips.on_drag("left"), drag, whole=True)
                 self._figures.append((pose, place))
+            # viser's page breaks down where a skin is removed and nothing replaces it.
+            for name in self._skins - drawn:
+                server.scene.add_frame(name, show_axes=False)
+            self._skins |= drawn
             self._moving: list[Any] = []
             if ground.characters:
                 props = ground.props

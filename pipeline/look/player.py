@@ -5,9 +5,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, get_args
 
+import numpy as np
 import viser
 
-from kinefilter.characters import Clip, TrackingName
+from kinefilter.characters import Clip, InputError, Motion, TrackingName
 from kinefilter.pipeline.formats import write_clip
 from kinefilter.pipeline.formats.files import numbered
 from kinefilter.pipeline.physics.playground import RATE, Playground
@@ -60,8 +61,8 @@ class Player(PlayPage):
         speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1")
         self._on(speed.on_update, self._set_speed)
         scenes = tuple(dict.fromkeys((str(playground.scene), *SCENES)))
-        scene = gui.add_dropdown("scene", scenes, initial_value=scenes[0])
-        self._on(scene.on_update, lambda name: self._change(scene=name))
+        self._scenes: Any = gui.add_dropdown("scene", scenes, initial_value=scenes[0])
+        self._on(self._scenes.on_update, lambda name: self._change(scene=name))
         names, now = get_args(TrackingName), playground.tracking
         tracking = gui.add_dropdown("tracking", names, initial_value=now)
         self._on(tracking.on_update, lambda name: self._change(tracking=name))
@@ -72,7 +73,13 @@ class Player(PlayPage):
 
     @property
     def _framed(self) -> Clip:
-        return self._playground.motion
+        """The first motion, and its first posture wherever the others go."""
+        first, *others = self._playground.motions
+        root = np.concatenate([first.root, *(motion.root for motion in others)])
+        there = np.repeat(first.rotations[:1], len(root) - len(first), axis=0)
+        turns = np.concatenate([first.rotations, there])
+        time = np.arange(len(root)) / RATE
+        return Clip.of(Motion(time=time, body=first.body, root=root, rotations=turns))
 
     def _status_rows(self) -> list[tuple[str, str]]:
         rows = [
@@ -80,8 +87,8 @@ class Player(PlayPage):
             *super()._status_rows(),
             ("time per frame", f"{1e3 * self._busy:.0f} of {1e3 / RATE:.0f} ms"),
         ]
-        if (recorded := self._playground.recording) is not None:
-            rows.append(("recorded", f"{recorded / RATE:.1f} s"))
+        if self._playground.recording is not None:
+            rows.append(("recorded", f"{self._playground.recorded_time:.1f} s"))
         return rows
 
     def _labels(self) -> dict[str, str]:
@@ -102,9 +109,13 @@ class Player(PlayPage):
         self._speed = float(speed)
 
     def _change(self, **what: Any) -> None:
-        if "scene" in what:  # the props are others
-            self._report(self.save_recording())
-        self._playground.change(**what)
+        try:
+            if "scene" in what:  # the props are others
+                self._report(self.save_recording())
+            self._playground.change(**what)
+        except InputError:
+            self._scenes.value = str(self._playground.scene)
+            raise
         self._draw_scene()
 
     def _record(self, _: object) -> None:
@@ -118,11 +129,16 @@ class Player(PlayPage):
         """End a recording, if there is one; return what was written, in words."""
         if self._playground.recording is None:
             return ""
-        clips = self._playground.recorded()
+        try:
+            clips = self._playground.recorded()
+        except InputError:
+            self._playground.stop_recording()
+            raise
         bodies = range(1, len(clips) + 1) if len(clips) > 1 else (None,)
         names = (numbered(self._save, k if k > 1 else None) for k in count(1))
         recordings = ([numbered(name, body) for body in bodies] for name in names)
         paths = next(r for r in recordings if not any(path.exists() for path in r))
         for clip, to in zip(clips, paths, strict=True):
             write_clip(clip, to)
+        self._playground.stop_recording()  # not before everything is written
         return f"wrote {', '.join(map(str, paths))}, {clips[0].time[-1]:.1f} s"

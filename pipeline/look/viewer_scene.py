@@ -1,6 +1,7 @@
 """Drawings in the browser's scene: skin, figures, props, contacts and force."""
 
 from collections.abc import Callable, Sequence
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ _NAME, _TOGETHER = 0.2, 1.0  # m between the names of sensors closer than the se
 _SKY = ((0.80, 0.86, 0.92), (0.97, 0.98, 0.99))  # overhead, at the horizon
 _SKY_ROWS = 64
 _FLOOR = 12.0  # m, side of the square that shows shadows
+_GROUPS = count()  # for names of props: under a name used before, browsers keep poses
 
 
 class ViewerScene:
@@ -173,15 +175,16 @@ def add_props(
     scene: viser.SceneApi, props: Sequence[Prop]
 ) -> tuple[viser.FrameHandle, list[viser.FrameHandle]]:
     """Add props at their first poses; return the handle of all, and of each."""
-    group = scene.add_frame("/props", show_axes=False)
+    name = f"/props{next(_GROUPS)}"
+    group = scene.add_frame(name, show_axes=False)
     frames = []
     for n, prop in enumerate(props):
-        frames.append(scene.add_frame(f"/props/{n}", show_axes=False))
+        frames.append(scene.add_frame(f"{name}/{n}", show_axes=False))
         frames[n].position, frames[n].wxyz = prop.positions[0], prop.rotations[0]
         for k, shape in enumerate(prop.shapes):
             mesh = shape.surface()
             scene.add_mesh_simple(
-                f"/props/{n}/{k}",
+                f"{name}/{n}/{k}",
                 mesh.vertices,
                 mesh.faces,
                 color=tuple(_bytes(shape.color).tolist()),

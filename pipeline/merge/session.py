@@ -236,7 +236,7 @@ def read_calibration(path: Path | None) -> tuple[Alignment, ...]:
     check_file(path)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        if found["file"] != CALIBRATION:
+        if not isinstance(found, dict) or found.get("file") != CALIBRATION:
             raise ValueError(f"not a {CALIBRATION}")
         alignments = []
         for sensor in found["sensors"][1:]:

@@ -29,6 +29,7 @@ from .thrown_balls import is_parked
 RATE = 30.0  # frame rate [1/s] of the motion and of recordings
 _BACK, _SLOWEST = 0.6, 1.5  # s at least, and m/s, from a motion's end to its beginning
 _BESIDE = 0.6  # m between the reach of characters who start beside each other
+_UNEVEN = 1e-6  # s by which steps may differ; those in slow motion are shorter
 _LONGEST = 10 * 60 * int(RATE)  # frames of a recording
 
 
@@ -156,16 +157,25 @@ class Playground(Playable):
         """Number of frames recorded so far; None if nothing is being recorded."""
         return None if self._frames is None else len(self._frames)
 
+    @property
+    def recorded_time(self) -> float:
+        """Time recorded so far [s], of the motion and not of the clock."""
+        return float(sum(rows[0][0] for rows in self._frames or ()))
+
     def record(self) -> None:
         """Start a recording; it keeps the last ten minutes."""
         self._frames = deque(maxlen=_LONGEST)
 
     def recorded(self) -> list[Clip]:
-        """Stop recording; return each character's clip. InputError if too short."""
-        frames, self._frames = self._frames or deque(), None
+        """Return each character's clip so far. InputError if it is too short."""
+        frames = self._frames or ()
         if len(frames) < 2:
             raise InputError("nothing was recorded; play for a moment before stopping")
         return list(map(self._clip, self.motions, zip(*frames, strict=True)))
+
+    def stop_recording(self) -> None:
+        """Discard what was recorded; recording may start again."""
+        self._frames = None
 
     def _clip(self, played: Clip, frames: tuple[tuple[Any, ...], ...]) -> Clip:
         columns = map(np.array, zip(*frames, strict=True))
@@ -176,7 +186,9 @@ class Playground(Playable):
         time, body = np.cumsum(steps) - steps[0], played.body
         moved = {"time": time, "root": root, "rotations": rotations}
         motion = Motion(body=body, source="kinefilter play", **moved)
-        return Clip.of(motion, contacts=contacts, external_force=force, props=props)
+        what = {"contacts": contacts, "external_force": force, "props": props}
+        clip = Clip.of(motion, **what)
+        return clip if np.ptp(steps) < _UNEVEN else resampled(clip, RATE)
 
 
 def _beside(clips: Sequence[Clip]) -> list[Clip]:
