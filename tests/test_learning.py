@@ -279,7 +279,7 @@ def test_evaluation_needs_people_or_repetitions(pairs: list[PairedTake]) -> None
         evaluate(early, [], ["none"], protocol="repetitions")
     with pytest.raises(InputError, match="unknown method 'magic'"):
         evaluate(pairs, [], ["magic"])
-    with pytest.raises(InputError, match="learned learns: give pairs .* --train"):
+    with pytest.raises(InputError, match=r"learned learns: give pairs .* --train"):
         evaluate([], pairs, ["learned"])
     take = Take(np.arange(9) / 30, np.ones((9, 25, 3)), np.ones((9, 25)), KINECT_V2)
     other = PairedTake(take, take.positions, "s09", "m01")

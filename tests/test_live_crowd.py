@@ -21,6 +21,7 @@ from kinefilter.pipeline.database import builtin_database
 from kinefilter.pipeline.live import recorder as recording
 from kinefilter.pipeline.live.crowd import Crowd, Person
 from kinefilter.pipeline.live.live_config import LiveConfig
+from kinefilter.pipeline.live.messages import Frame
 from kinefilter.pipeline.live.recorder import Recorder
 from kinefilter.pipeline.live.tally import Event, Latency, Tally
 
@@ -129,6 +130,45 @@ def test_there_is_room_for_as_many_as_allowed_and_ids_do_not_pile_up() -> None:
         people.arrive(sample_frame(0, str(n)), n * 1e-3)
     assert len(people) == 2
     assert tally.events[Event.CROWDED] == 998
+
+
+def _beside(row: int, *bodies: str) -> Frame:
+    """Return people who stand side by side, 1.2 m apart, and sway."""
+    frame = sample_frame(row, *bodies)
+    aside, sway = np.array([1.2, 0.0, 0.0]), 0.05 * (row % 3)
+    moved = [
+        replace(seen, positions=seen.positions + k * aside + sway)
+        for k, seen in enumerate(frame.bodies)
+    ]
+    return replace(frame, bodies=tuple(moved))
+
+
+@pytest.mark.parametrize("ids", ["12", "123"])
+def test_people_whose_ids_a_tracker_exchanges_stay_who_they_are(ids: str) -> None:
+    people, tally = crowd()
+    others = {"12": ["21", "12", "21"], "123": ["213", "231", "123"]}[ids]
+    for row in range(80):
+        given = others[row // 20 - 1] if row >= 20 else ids
+        seen = people.arrive(_beside(row, *given), row / 30.0)
+        assert [body.id for body in seen] == [*ids]
+        at = [float(np.nanmean(body.positions[:, 0])) for body in seen]
+        assert (np.diff(at) > 1.0).all()
+    assert tally.events[Event.EXCHANGED] >= 3
+    assert len(people) == len(ids)
+
+
+def test_who_walks_past_another_or_comes_back_keeps_the_own_id() -> None:
+    people, tally = crowd()
+    for row in range(60):
+        frame = sample_frame(row, "a", "b")
+        shift = [[0.04 * row - 1.2, 0.0, 0.0], [1.2 - 0.04 * row, 0.0, 0.3]]
+        moved = [
+            replace(seen, positions=seen.positions + by)
+            for seen, by in zip(frame.bodies, shift, strict=True)
+        ]
+        people.arrive(replace(frame, bodies=tuple(moved)), row / 30.0)
+    people.arrive(_beside(60, "b", "a"), 4.0)  # both away for two seconds
+    assert not tally.events[Event.EXCHANGED]
 
 
 def test_a_person_is_measured_in_the_first_second_as_the_whole_take_would() -> None:

@@ -1,7 +1,8 @@
 """The people in view, how each is followed, and whose frame gets the next pose."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ from .tally import Event, Tally
 _LOST_BY_LEAD = 0.12  # s without the leading sensor until other sensors' frames count
 _GONE = 2.0  # s unseen after which a person is dropped
 RESTARTED = 2.0  # s: a stamp earlier by more than this means the clock restarted
+_EXCHANGED = 0.5  # m that two people are nearer to each other's last place: a guess
+_RECENT = 0.5  # s for which a place counts
 _STEPS = 15  # steps whose median is the sender's usual one: half a second
 _LONGEST_GAP = 2.0  # s: the person was away for longer ones, and no frame is missing
 MEASURED_FOR = 1.0
@@ -154,6 +157,7 @@ class Presence:
     seen_by_lead: float = 0.0  # when the leading sensor last saw the person [s]
     stamps: Stamps = field(default_factory=Stamps)
     pending: PendingFrame | None = None  # the newest frame without a pose
+    middle: Array | None = None  # mean of the joints seen last [m], shape (3,)
 
     @property
     def avatar(self) -> Avatar | None:
@@ -167,6 +171,7 @@ class Crowd:
     def __init__(self, most: int, tally: Tally) -> None:
         self._most, self._tally = most, tally
         self._here: dict[str, Presence] = {}
+        self._names: dict[str, str] = {}  # who has an id that was another's before
 
     def __len__(self) -> int:
         return len(self._here)
@@ -181,8 +186,41 @@ class Crowd:
         return self._here[name].avatar if name in self._here else None
 
     def arrive(self, frame: Frame, now: float) -> list[SeenBody]:
-        """Add a frame that arrived now [s]; return the bodies that ``add`` accepts."""
-        return [seen for seen in frame.bodies if self.add(seen, frame.time, now)]
+        """Add a frame that arrived now [s]; return the bodies that ``add`` accepts.
+
+        Two people whose ids a tracker exchanges, as when they meet, keep their names.
+        """
+        names = self._names
+        bodies = [
+            replace(seen, id=names.get(seen.id, seen.id)) for seen in frame.bodies
+        ]
+        for a, b in combinations(range(len(bodies)), 2):
+            if self._are_exchanged(bodies[a], bodies[b], now):
+                bodies[a], bodies[b] = (
+                    replace(bodies[k], id=bodies[other].id)
+                    for k, other in ((a, b), (b, a))
+                )
+                self._tally.events[Event.EXCHANGED] += 1
+                for k in (a, b):
+                    names[frame.bodies[k].id] = bodies[k].id
+        return [seen for seen in bodies if self.add(seen, frame.time, now)]
+
+    def _are_exchanged(self, one: SeenBody, other: SeenBody, now: float) -> bool:
+        """Return True if both are where the other one was a moment ago."""
+        if not (one.is_seen and other.is_seen):
+            return False
+        before = [self._here.get(seen.id) for seen in (one, other)]
+        places = [
+            presence.middle
+            for presence in before
+            if presence is not None and now - presence.last_seen < _RECENT
+        ]
+        if len(places) < 2 or any(place is None for place in places):
+            return False
+        here = np.array([_middle(one), _middle(other)])
+        apart = np.linalg.norm(here[:, None] - np.array(places), axis=2)
+        stayed, exchanged = apart.diagonal().max(), apart[::-1].diagonal().max()
+        return bool(exchanged < stayed - _EXCHANGED)
 
     def lost_by_lead(self, now: float) -> list[Presence]:
         """Return the people whom the leading sensor has not seen for some frames."""
@@ -203,6 +241,8 @@ class Crowd:
         for presence in gone:
             del self._here[presence.id]
             self._tally.events[Event.RESTED] += 1
+        if not self._here:
+            self._names.clear()
         return gone
 
     def add(self, seen: SeenBody, time: float, now: float) -> bool:
@@ -217,7 +257,7 @@ class Crowd:
                 return False
             self._here[seen.id] = Presence(seen.id, min(free), now)
         presence = self._here[seen.id]
-        presence.last_seen = now
+        presence.last_seen, presence.middle = now, _middle(seen)
         if not seen.from_other_sensor:
             presence.seen_by_lead = now
         event, missing = presence.stamps.arrive(time)
@@ -238,3 +278,7 @@ class Crowd:
             since = older.since
         presence.pending = PendingFrame(seen, time, now, since, restarted)
         return True
+
+
+def _middle(seen: SeenBody) -> Array:
+    return np.asarray(np.nanmean(seen.positions, axis=0))

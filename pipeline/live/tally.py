@@ -27,6 +27,7 @@ class Event(StrEnum):
     RESTARTED = "clock restarts"
     UNSEEN = "without a visible joint"
     RESTED = "people left"
+    EXCHANGED = "ids exchanged"
     CROWDED = "over the limit of bodies"
     TOO_FAST = "over the rate limit"
     REFUSED = "connections refused"
