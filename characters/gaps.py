@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .arrays import Array
+from .arrays import Array, Flags
 
 LONG_GAP = 2.0
 """Longest time between frames [s] across which motion counts as continuous. A guess:
@@ -24,6 +24,18 @@ def long_gaps(time: Array) -> list[tuple[float, float]]:
     """Return the last time stamp before each long gap and the first after it [s]."""
     pairs = pairwise(parts_of(time))
     return [(float(time[a.stop - 1]), float(time[b.start])) for a, b in pairs]
+
+
+def absences(time: Array, seen: Flags) -> Flags:
+    """Return the frames in which nobody is ``seen`` (T,) for longer than a long gap.
+
+    Before the first frame with somebody and after the last one, too; (T,).
+    """
+    rows, frames = np.flatnonzero(seen), np.arange(len(time))
+    stamps = np.concatenate([time[:1], time[rows], time[-1:]])
+    before = stamps[np.searchsorted(rows, frames, "right")]
+    after = stamps[np.searchsorted(rows, frames) + 1]
+    return np.asarray(~seen & (after - before > LONG_GAP))
 
 
 def describe_gaps(

@@ -33,6 +33,7 @@ from kinefilter.pipeline.formats import Export
 from kinefilter.pipeline.formats.export import even_frames, resampled
 from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
+from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.page import page_contents
 from kinefilter.pipeline.physics import Targets, pull_through
@@ -384,3 +385,29 @@ def test_live_a_pause_of_years_is_a_pause() -> None:
             assert np.isfinite(pose.positions).all()
     away = np.linalg.norm(pose.positions - walk.positions[9], axis=1)
     assert away.max() < 0.4
+
+
+def _empty_for(take: Take, frames: slice) -> Take:
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[frames], state[frames] = np.nan, State.NOT_TRACKED
+    return replace(take, positions=positions, state=state)
+
+
+@pytest.mark.parametrize(
+    ("empty", "left_out"),
+    [(slice(10, 20), ""), (slice(10, 31), "1.0 to 3.0"), (slice(31), "0.0 to 3.0")],
+)
+def test_frames_of_a_file_with_nobody_for_long_are_left_out(
+    tmp_path: Path, empty: slice, left_out: str
+) -> None:
+    """As if the sensor had written none: nothing is invented there."""
+    whole = replace(_walk(), time=np.arange(FRAMES) * 0.1)
+    path = tmp_path / "take.csv"
+    write_take_csv(_empty_for(whole, empty), path)
+    recording = read_recording(path)
+    gone = np.zeros(FRAMES, dtype=bool)
+    gone[empty] = bool(left_out)
+    take = recording.take(None)
+    np.testing.assert_allclose(take.time, whole.time[~gone], atol=1e-6)
+    told = [f"nobody in view, left out: {left_out} s"] if left_out else []
+    assert [*recording.notes] == told

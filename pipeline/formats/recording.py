@@ -8,12 +8,12 @@ import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.anthropometry import unit_hint
-from kinefilter.characters.arrays import Array, Codes, shown
-from kinefilter.characters.gaps import LONG_GAP
+from kinefilter.characters.arrays import Array, Codes, runs, shown
+from kinefilter.characters.gaps import absences
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.people import Piece, Track, people_of
 
-from .plain import counted
+from .plain import counted, times_told
 from .rows import MOST_FRAMES
 
 Notes = tuple[str, ...]
@@ -126,7 +126,8 @@ def takes_of_rows(
 
     Time stamps [s] have shape (T,), positions [m] (T, J, 3), tracking states (T, J).
     The rows are one person's, unless many repeat the time stamp of another row at
-    another place: then of several people. Raises InputError if they are not a take.
+    another place: then of several people. A take has no rows without anybody for long
+    (``absences``). Raises InputError if they are not a take.
     """
     check_length(len(time), source)
     check_rate(time, source)
@@ -135,7 +136,15 @@ def takes_of_rows(
     stamps, sightings = _sightings(time, positions, state, skeleton.root)
     if sightings:
         return takes_of_people(stamps, sightings, skeleton, source)
-    return (Take(time, positions, state, skeleton, source),), ()
+    take = Take(time, positions, state, skeleton, source)
+    seen = np.asarray((state > State.NOT_TRACKED).any(axis=1))
+    absent = absences(time, seen)
+    if not absent.any():
+        return (take,), ()
+    check_length(int(np.sum(~absent)), source)
+    since = time - time[0]
+    left_out = times_told([(since[k.start], since[k.stop - 1]) for k in runs(absent)])
+    return (take.at(~absent),), (f"nobody in view, left out: {left_out}",)
 
 
 def check_length(frames: int, source: str) -> None:
@@ -284,9 +293,7 @@ def takes_of_people(
         name = f"{source}, body {number}" if len(people) > 1 else source
         seen = frames[rows]
         span = np.arange(seen[0], seen[-1] + 1)
-        last = seen[np.searchsorted(seen, span, "right") - 1]
-        gap = time[seen[np.searchsorted(seen, span)]] - time[last]
-        span = span[gap <= LONG_GAP]
+        span = span[~absences(time[span], np.isin(span, seen))]
         places = np.full((len(span), joints, 3), np.nan)
         states = np.zeros(places.shape[:2], dtype=np.uint8)
         tracked = np.searchsorted(span, seen)
