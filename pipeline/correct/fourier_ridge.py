@@ -63,9 +63,9 @@ _POWER = 16
 # Sine of the view angle up to which a view is frontal, and from which on it is fully
 # off-frontal. Chosen on all fourteen people with two sensors.
 _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
-# Similarity to people with markers, some of whom stand turned as well, up to which the
-# similarity to people before two sensors may fall behind it, or be ahead, for both to
-# count. Chosen on s02, s07 and s08, and on p00 to p08.
+# People with markers may stand turned, too. The data that a posture is more similar to
+# decides; where the similarities differ by less than this, both count. Chosen on s02,
+# s07 and s08, and on p00 to p08.
 _TIED = 0.02
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
 _TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
@@ -373,12 +373,12 @@ def _shares(similar: Array, toward: Array) -> Array:
 
 
 def _off_frontal_share(sine: Array, similar: Array) -> Array:
-    """Return how much the training data of two sensors decides, in [0, 1]."""
+    """Return the weight of the two-sensor training data in this view, in [0, 1]."""
     return _ramp(np.abs(sine), _FRONTAL, _OFF_FRONTAL) * _beside_share(similar)
 
 
 def _beside_share(similar: Array) -> Array:
-    """Return how much more like that data than like the other postures are (..., 1)."""
+    """Return the weight (..., 1) of the two-sensor data, given both similarities."""
     frontal, beside = similar[..., :1], similar[..., 1:]
     return _ramp(beside, _FAR, _NEAR) * _ramp(beside - frontal, -_TIED, _TIED)
 
