@@ -153,11 +153,11 @@ class Presence:
     id: str  # the sender's name for the person
     slot: int  # the lowest number, from 0, that was free when the person appeared
     last_seen: float  # when a frame with the person arrived [s]
+    place: Array  # of the person then [m], shape (3,)
     person: Person | None = None  # from the first pose on
     seen_by_lead: float = 0.0  # when the leading sensor last saw the person [s]
     stamps: Stamps = field(default_factory=Stamps)
     pending: PendingFrame | None = None  # the newest frame without a pose
-    middle: Array | None = None  # mean of the joints seen last [m], shape (3,)
 
     @property
     def avatar(self) -> Avatar | None:
@@ -211,13 +211,13 @@ class Crowd:
             return False
         before = [self._here.get(seen.id) for seen in (one, other)]
         places = [
-            presence.middle
+            presence.place
             for presence in before
             if presence is not None and now - presence.last_seen < _RECENT
         ]
-        if len(places) < 2 or any(place is None for place in places):
+        if len(places) < 2:
             return False
-        here = np.array([_middle(one), _middle(other)])
+        here = np.array([one.place, other.place])
         apart = np.linalg.norm(here[:, None] - np.array(places), axis=2)
         stayed, exchanged = apart.diagonal().max(), apart[::-1].diagonal().max()
         return bool(exchanged < stayed - _EXCHANGED)
@@ -255,9 +255,9 @@ class Crowd:
             if not free:
                 self._tally.events[Event.CROWDED] += 1
                 return False
-            self._here[seen.id] = Presence(seen.id, min(free), now)
+            self._here[seen.id] = Presence(seen.id, min(free), now, seen.place)
         presence = self._here[seen.id]
-        presence.last_seen, presence.middle = now, _middle(seen)
+        presence.last_seen, presence.place = now, seen.place
         if not seen.from_other_sensor:
             presence.seen_by_lead = now
         event, missing = presence.stamps.arrive(time)
@@ -278,7 +278,3 @@ class Crowd:
             since = older.since
         presence.pending = PendingFrame(seen, time, now, since, restarted)
         return True
-
-
-def _middle(seen: SeenBody) -> Array:
-    return np.asarray(np.nanmean(seen.positions, axis=0))

@@ -56,7 +56,7 @@ class FusedPerson(Person):
 
     def step(self, seen: SeenBody, time: float) -> Pose | None:
         """Return the pose after a frame of any sensor; arguments as ``Person.step``."""
-        self.place = np.nanmean(seen.positions, axis=0)
+        self.place = seen.place
         if self.avatar is None or not (self._sensors.joined or self._views):
             return super().step(seen, time)
         if not self._views:

@@ -75,6 +75,11 @@ class SeenBody:
         """True if any joint of the person is visible."""
         return bool((self.state > State.NOT_TRACKED).any())
 
+    @property
+    def place(self) -> Array:
+        """Mean of the visible joints [m], shape (3,)."""
+        return np.asarray(np.nanmean(self.positions, axis=0))
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
