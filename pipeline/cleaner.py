@@ -40,13 +40,12 @@ from .stages import (
     Stage,
     Standardize,
 )
-from .target.aim_stages import AimHands, AimHead
+from .target.aim_stages import AimHands, AimHead, Orient
 from .target.target_stages import (
     Bones,
     Feet,
     Floor,
     Level,
-    Orient,
     Ranges,
     Smooth,
     Upright,

@@ -25,8 +25,7 @@ from kinefilter.pipeline.formats.files import as_path, refused
 from kinefilter.pipeline.formats.npz import read_arrays, write_arrays
 from kinefilter.pipeline.formats.plain import counted
 
-_ARRAYS = ("positions", "rotations", "labels")
-_LARGEST = 10.0  # coordinate [m] or component of a quaternion that is not damaged
+_LARGEST = 10.0  # m: coordinate that is not damaged
 _BLOCK = 128  # postures: smaller blocks have tighter boxes but need more calls. Timed.
 _AT_ONCE = 30_000  # postures up to which a search of all is faster. Timed.
 _FIRST, _MOST = 8, 128  # blocks per round, in the first round and at most
@@ -45,7 +44,6 @@ class PostureDatabase:
 
     Attributes:
         positions: Joint positions [m], root at the origin, facing +z, shape (N, J, 3).
-        rotations: Segment rotations in the same frame, wxyz, shape (N, J, 4).
         labels: Name of the motion of each posture, shape (N,).
         skeleton: The joints, in the order of the arrays.
         source: Where the database came from, for messages.
@@ -54,7 +52,6 @@ class PostureDatabase:
     """
 
     positions: Singles
-    rotations: Singles
     labels: NDArray[np.str_]
     skeleton: Skeleton
     source: str = "database"
@@ -64,7 +61,7 @@ class PostureDatabase:
         check_skeleton(self.skeleton, self.source)
         check_kind(self.labels, np.ndarray, f"{self.source}: its labels")
         size = (self.labels.size, len(self.skeleton))
-        shapes: dict[str, Lengths] = {"positions": (*size, 3), "rotations": (*size, 4)}
+        shapes: dict[str, Lengths] = {"positions": (*size, 3)}
         check_arrays(self, self.source, shapes, keep=shapes)
         if size[0] < 2 or not np.any(self.positions[1:] != self.positions[0]):
             raise InputError(
@@ -72,15 +69,14 @@ class PostureDatabase:
                 "build it from more motions"
             )
         # Single precision, as in a file: saving and loading changes nothing.
-        for name in shapes:
-            with np.errstate(over="ignore"):
-                rounded = np.asarray(getattr(self, name), dtype=np.float32)
-            # This comparison also rejects NaN.
-            if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
-                raise InputError(
-                    f"{self.source}: {name} are NaN or beyond {_LARGEST:g}; rebuild it"
-                )
-            object.__setattr__(self, name, rounded)
+        with np.errstate(over="ignore"):
+            rounded = np.asarray(self.positions, dtype=np.float32)
+        # This comparison also rejects NaN.
+        if not (rounded.min() > -_LARGEST and rounded.max() < _LARGEST):
+            raise InputError(
+                f"{self.source}: positions are NaN or beyond {_LARGEST:g}; rebuild it"
+            )
+        object.__setattr__(self, "positions", rounded)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -128,7 +124,7 @@ class PostureDatabase:
 
     def save(self, path: Path) -> None:
         """Write the database as npz: arrays only."""
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays: dict[str, Any] = {"positions": self.positions, "labels": self.labels}
         named = {"skeleton": self.skeleton.name, "recorded": self.recorded}
         write_arrays(path, arrays | named | {"spacing": self.spacing})
 
@@ -143,17 +139,16 @@ class PostureDatabase:
             skeleton = skeleton_named(str(arrays["skeleton"]))
             recorded = bool(np.asarray(arrays.get("recorded", False)).item())
             spacing = float(np.asarray(arrays.get("spacing", np.nan)).item())
-            places, turns, labels = (arrays[name] for name in _ARRAYS)
-            shape = (len(labels), len(skeleton))
+            places, labels = arrays["positions"], arrays["labels"]
             if not (
-                (places.shape, turns.shape) == ((*shape, 3), (*shape, 4))
-                and shape[0] >= 2
+                places.shape == (len(labels), len(skeleton), 3)
+                and len(labels) >= 2
                 and (labels.ndim, labels.dtype.kind) == (1, "U")
-                and bool(np.isfinite(places).all() and np.isfinite(turns).all())
+                and bool(np.isfinite(places).all())
                 and not spacing <= 0.0
             ):
                 raise ValueError("arrays of another kind of file")
-        database = cls(places, turns, labels, skeleton, str(path), recorded)
+        database = cls(places, labels, skeleton, str(path), recorded)
         if np.isfinite(spacing):
             vars(database)["spacing"] = spacing
         return database

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, Prop, Skeleton, Take
 from kinefilter.characters.arrays import Array, Codes, Flags
@@ -64,7 +63,6 @@ class Draft:
     confidence: Array = field(init=False)  # share of the measurement in joints, (J,)
     coverage: Any = field(init=False)  # of the posture, in [0, 1] or NaN, shape ()
     origin: Codes = field(init=False)  # origin of each joint (Origin), shape (J,)
-    twist: NDArray[Any] | None = None  # rotations to take twists from, wxyz, (J, 4)
     stands: Flags = field(init=False)  # which foot (left, right) is planted, (2,)
     contacts: Flags = field(init=False)  # planted parts (CONTACTS), (4,); takes only
     turn: Turn = field(default_factory=Turn)  # how the sensor frame was set upright

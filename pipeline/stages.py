@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinefilter.characters import Body, Origin, Skeleton, State, Term
-from kinefilter.characters.arrays import Array, Flags, chunks
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.retarget import BoneLengths, Standardizer
 
 from .config import CleanConfig
@@ -290,8 +290,6 @@ class Correct(Stage):
             found = checked(found, self._given, observation, finite=True)
         draft.positions = self._standardizer.undo(found.positions, draft.heading)
         self._record(draft, found)
-        if found.rotations is not None:
-            draft.twist = draft.heading.restore_rotations(found.rotations)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Correct a take; joints the method leaves missing keep their last bones."""
@@ -307,11 +305,6 @@ class Correct(Stage):
             positions = Hold(draft.skeleton).fill(positions)
         draft.positions = Standardizer(draft.body).undo(positions, draft.heading)
         self._record(draft, found)
-        if found.rotations is not None:
-            draft.twist = np.empty(found.rotations.shape, dtype=np.float32)
-            for k in chunks(len(draft.time), CHUNK):
-                heading = draft.heading.at(k)
-                draft.twist[k] = heading.restore_rotations(found.rotations[k])
         origin = np.where(draft.confidence >= 1.0, Origin.MEASURED, Origin.CORRECTED)
         origin[draft.missing] = Origin.FILLED
         draft.origin = origin.astype(np.uint8)
@@ -321,7 +314,6 @@ class Correct(Stage):
         draft.confidence, draft.coverage = found.confidence, found.coverage
         if draft.hidden is not None:
             draft.confidence = np.where(draft.hidden, 0.0, found.confidence)
-        draft.twist = None
 
     @staticmethod
     def _observation(

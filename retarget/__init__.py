@@ -1,15 +1,23 @@
 """Conversion between bodies: heading, size, orientation and other rigs."""
 
-from .body_posture import BoneLengths, fill_missing_joints, rotations_from_positions
+from .bone_lengths import BoneLengths
+from .orientation import (
+    Hinges,
+    chained_rotations,
+    fill_missing_joints,
+    rotations_from_positions,
+)
 from .standardize import HeadingFrame, Standardizer, find_yaw, measured_body
 from .straight_chains import Neck, Palms
 
 __all__ = [
     "BoneLengths",
     "HeadingFrame",
+    "Hinges",
     "Neck",
     "Palms",
     "Standardizer",
+    "chained_rotations",
     "fill_missing_joints",
     "find_yaw",
     "measured_body",

@@ -26,7 +26,6 @@ left side: names on the right begin with Right, R or r in place of Left, L or l.
 
 at: The Kinect joint is at the mean of these joints (or landmarks).
 or: Where it is if those are missing, the best choice first.
-turned_by: The joint that turns the segment which ends there.
 optional: True if it may be missing.
 """
 
@@ -244,7 +243,6 @@ class SourceJoint:
     """Place of a Kinect joint on another skeleton, with the fields of the file."""
 
     at: tuple[str, ...]
-    turned_by: str | None = None
     others: tuple[tuple[str, ...], ...] = ()  # the field ``or``
     optional: bool = False
 
@@ -261,19 +259,17 @@ class SourceRig:
     def needed(self) -> set[str]:
         """Names of the joints that must be there, or alternatives to them."""
         joints = [joint for joint in self.joints.values() if not joint.optional]
-        names = {name for joint in joints for name in joint.at}
-        return names | {joint.turned_by for joint in joints if joint.turned_by}
+        return {name for joint in joints for name in joint.at}
 
     def among(self, names: Set[str]) -> tuple[SourceRig, set[str]]:
         """Return the rig with those of its joints that exist, and the missing names."""
         present, missing = dict[str, SourceJoint](), set[str]()
         for joint, row in self.joints.items():
-            by = {row.turned_by} if row.turned_by else set[str]()
-            matches = [at for at in (row.at, *row.others) if by.union(at) <= names]
+            matches = [at for at in (row.at, *row.others) if names >= set(at)]
             if matches:
-                present[joint] = SourceJoint(matches[0], row.turned_by)
+                present[joint] = SourceJoint(matches[0])
             elif not row.optional:
-                missing |= by.union(row.at) - names
+                missing |= set(row.at) - names
         return replace(self, joints=present), missing
 
 
@@ -297,8 +293,7 @@ def _source_joint(row: dict[str, Any], *, right: bool = False) -> SourceJoint:
         return re.sub("^(Left|L|l)", lambda m: swap[m[0]], name) if right else name
 
     at, *others = (tuple(map(named, n)) for n in (row["at"], *row.get("or", ())))
-    by = row.get("turned_by") and named(row["turned_by"])
-    return SourceJoint(at, by, tuple(others), row.get("optional", False))
+    return SourceJoint(at, tuple(others), row.get("optional", False))
 
 
 def matching_source_rig(

@@ -105,7 +105,6 @@ def _write_arrays(folder: Path) -> None:
     rng = np.random.default_rng(0)
     PostureDatabase(
         rng.normal(size=(4, 20, 3)),
-        rng.normal(size=(4, 20, 4)),
         np.array(["a", "b", "c", "d"]),
         KINECT_V1,
     ).save(folder / "database.npz")

@@ -121,7 +121,7 @@ def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
     """
     postures, clips = [], []
     for file in sorted(folder.glob("*.bvh.gz")):
-        found = mocap_postures(read_mocap(file), KINECT_V1)[0][1:]
+        found = mocap_postures(read_mocap(file), KINECT_V1)[1:]
         found = standardized(found)[::every]
         postures.append(found)
         clips.append(np.full(len(found), file.name.split(".")[0]))
@@ -182,8 +182,8 @@ def read_libraries() -> tuple[dict[str, Array], NDArray[np.str_]]:
     """Return libraries of three sizes, and the motions of the one that ships."""
     start = time.perf_counter()
     parts = list(scripted_postures(KINECT_V1))
-    postures = np.concatenate([p for _, p, _ in parts])
-    labels = np.concatenate([np.full(len(p), name) for name, p, _ in parts])
+    postures = np.concatenate([p for _, p in parts])
+    labels = np.concatenate([np.full(len(p), name) for name, p in parts])
     kept = filter_to_count(postures, BUILTIN_POSTURES)
     seconds = time.perf_counter() - start
     print_line(

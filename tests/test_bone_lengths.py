@@ -21,7 +21,7 @@ from kinefilter.characters import (
     standard_body,
 )
 from kinefilter.characters.rotations import normalize
-from kinefilter.retarget import BoneLengths, body_posture
+from kinefilter.retarget import BoneLengths, bone_lengths
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def test_what_does_not_converge_is_laid_bone_by_bone_from_the_root(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     body, positions = standard_body(KINECT_V1), noisy(KINECT_V1, 5, 0.05)
-    monkeypatch.setattr(body_posture, "_MOST_STEPS", 0)
+    monkeypatch.setattr(bone_lengths, "_MOST_STEPS", 0)
     laid = BoneLengths(body).project(positions, np.ones(positions.shape[:2]))
     ends = KINECT_V1.segments
     expected = np.broadcast_to(body.lengths[ends], (5, 19))
@@ -319,7 +319,7 @@ def test_chunks_give_what_one_chunk_gives(monkeypatch: pytest.MonkeyPatch) -> No
     confidence = np.random.default_rng(0).uniform(0.1, 1.0, (23, 20))
     projector = BoneLengths(standard_body(KINECT_V1))
     whole = projector.project(positions, confidence)
-    monkeypatch.setattr(body_posture, "_CHUNK", 5)
+    monkeypatch.setattr(bone_lengths, "_CHUNK", 5)
     np.testing.assert_allclose(
         projector.project(positions, confidence), whole, atol=1e-7
     )

@@ -185,7 +185,7 @@ class Reusing(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         self._posture[:] = observation.positions
-        return Correction(self._posture, None, np.ones(len(self._posture)), 1.0)
+        return Correction(self._posture, np.ones(len(self._posture)), 1.0)
 
 
 def test_a_corrector_may_reuse_its_arrays(take: Take) -> None:
@@ -203,7 +203,7 @@ class Still(Corrector):
 
     def step(self, observation: Observation) -> Correction:
         nothing = np.zeros(len(observation.positions))
-        return Correction(self._rest, None, nothing, 1.0)
+        return Correction(self._rest, nothing, 1.0)
 
 
 def test_a_take_is_cleaned_in_one_thread(take: Take) -> None:

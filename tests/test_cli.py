@@ -306,9 +306,7 @@ def test_a_database_given_by_name_is_used(tmp_path: Path) -> None:
     whole = builtin_database(KINECT_V1)
     path, figures = tmp_path / "tiny.npz", tmp_path / "figures.json"
     kept = np.flatnonzero(whole.labels == "chair")[-2:]
-    tiny = PostureDatabase(
-        whole.positions[kept], whole.rotations[kept], whole.labels[kept], KINECT_V1
-    )
+    tiny = PostureDatabase(whole.positions[kept], whole.labels[kept], KINECT_V1)
     tiny.save(path)
     arguments = ["clean", str(SAMPLE), "-o", str(tmp_path / "c.csv"), "--no-physics"]
     main([*arguments, "--database", str(path), "--json", str(figures)])

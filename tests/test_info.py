@@ -229,7 +229,6 @@ def test_databases_and_pairs_are_told(
     rng = np.random.default_rng(0)
     base = PostureDatabase(
         rng.normal(size=(5, 20, 3)),
-        rng.normal(size=(5, 20, 4)),
         np.array(["a", "b", "a", "b", "c"]),
         KINECT_V1,
     )

@@ -250,22 +250,6 @@ def test_a_frame_in_which_nothing_is_seen_still_gives_a_posture(
     assert np.linalg.norm(result.positions - last, axis=1).mean() < 0.15
 
 
-def test_orientations_are_unit_and_near_the_motions_own(
-    database: PostureDatabase,
-) -> None:
-    body = standard_body(KINECT_V1)
-    act = perform("wave", body, seed=84)
-    seen = next(
-        o
-        for o in _observations(
-            Take(act.time, act.positions, _all_tracked(act.positions), KINECT_V1)
-        )
-    )
-    found = LocalPCA(database).step(seen).rotations
-    assert found is not None
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-9)
-
-
 def _all_tracked(positions: Array) -> NDArray[np.uint8]:
     return np.full(positions.shape[:2], 2, dtype=np.uint8)
 

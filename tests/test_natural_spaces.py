@@ -43,9 +43,8 @@ def _few(skeleton: Skeleton, count: int = 200) -> PostureDatabase:
     directions = rng.normal(size=(8, n, 3))
     amounts = 0.05 * rng.normal(size=(count, 8))
     positions = rest - rest[skeleton.root] + np.tensordot(amounts, directions, axes=1)
-    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, n, 1))
     labels = np.full(count, "made up")
-    return PostureDatabase(positions, rotations, labels, skeleton, recorded=True)
+    return PostureDatabase(positions, labels, skeleton, recorded=True)
 
 
 def test_the_shift_is_the_mean_of_a_gaussian_posterior() -> None:

@@ -107,7 +107,7 @@ def test_missing_joints_hang_on_their_corrected_parents(
 ) -> None:
     first, second = postures_of(2, seed=7)
     second[[WRIST, WRIST + 1]] = np.nan
-    before, after = corrected(fitted[name], np.stack([first, second]))
+    _, after = corrected(fitted[name], np.stack([first, second]))
     assert np.isfinite(after.positions).all()
     assert after.confidence[WRIST] == 0.0
     assert np.all(np.delete(after.confidence, [WRIST, WRIST + 1]) == 0.9)
@@ -123,7 +123,6 @@ def test_missing_joints_hang_on_their_corrected_parents(
     np.testing.assert_allclose(bone, held, atol=3e-3)
     everything = np.full_like(first, np.nan)
     assert np.isfinite(corrected(fitted[name], everything[None])[0].positions).all()
-    assert before.rotations is None
 
 
 @pytest.mark.parametrize("name", WITH_WHOLE_BODIES)

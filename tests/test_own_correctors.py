@@ -57,7 +57,6 @@ WRONG: dict[str, Callable[[Correction], Any]] = {
     "confidence has NaN": lambda found: replace(
         found, confidence=found.confidence * np.nan
     ),
-    "rotations has shape": lambda found: replace(found, rotations=found.positions),
     "coverage has shape": lambda found: replace(found, coverage=found.positions),
 }
 

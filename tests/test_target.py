@@ -27,6 +27,7 @@ from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.metrics import bone_length_cv, jitter, lowest_point
 from kinefilter.pipeline.progress import silent
 from kinefilter.pipeline.stages import Stage
+from kinefilter.pipeline.target.aim_stages import Orient
 from kinefilter.pipeline.target.feet import (
     ankles_and_toes,
     find_stance,
@@ -39,7 +40,6 @@ from kinefilter.pipeline.target.target_stages import (
     Feet,
     Floor,
     Level,
-    Orient,
     Smooth,
 )
 from kinefilter.retarget import BoneLengths

@@ -59,9 +59,9 @@ def test_live_too_until_they_are_seen() -> None:
     take = without_hands(KINECT_V1)
     hand, wrist = KINECT_V1.index("HandLeft"), KINECT_V1.index("WristLeft")
     positions, state = take.positions.copy(), take.state.copy()
-    elbow = KINECT_V1.index("ElbowLeft")
+    elbow, shoulder = KINECT_V1.index("ElbowLeft"), KINECT_V1.index("ShoulderLeft")
     forearm = unit(positions[60:, wrist] - positions[60:, elbow])
-    aside = unit(cross(forearm, [0.0, 0.0, 1.0]))
+    aside = unit(cross(forearm, positions[60:, elbow] - positions[60:, shoulder]))
     positions[60:, hand] = positions[60:, wrist] + 0.08 * unit(forearm + aside)
     state[60:, hand] = State.TRACKED
     take = replace(take, positions=positions, state=state)
@@ -102,7 +102,7 @@ def test_a_hand_pressed_against_the_thigh_does_not_fold() -> None:
         positions[:, joint] = place - inward * [1.0, 0.0, 0.0]
     assert np.abs(positions[-1, chain[-1], 0] - hip[-1, 0]).max() < 0.06  # in the thigh
     positions = BoneLengths(body).project(positions, np.ones(positions.shape[:2]))
-    rotations = rotations_from_positions(positions, body, None)
+    rotations = rotations_from_positions(positions, body)
     clip = pulled_through(
         PulledCharacter(body), np.arange(60) / 30.0, positions, rotations
     )

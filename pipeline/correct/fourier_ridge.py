@@ -326,7 +326,7 @@ class FourierRidge(LearnedCorrector):
                 ankle = moved[..., self._parents[foot[0]], :]
                 moved[..., foot, :] = _turned(moved[..., foot, :], far, ankle)
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(moved, None, confidence, found.similar[..., 0])
+        return Correction(moved, confidence, found.similar[..., 0])
 
     def _trunk_shift(self, shift: Array, lengths: Array) -> Array:
         """Return what to add to offsets (..., J, 3) for a trunk of these proportions.

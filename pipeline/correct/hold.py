@@ -127,7 +127,7 @@ class Hold(Corrector):
         """Fill the next frame."""
         confidence = np.where(np.isnan(observation.positions[:, 0]), 0.0, 1.0)
         posture = self.follow(observation.positions, confidence)
-        return Correction(posture, None, confidence, float("nan"))
+        return Correction(posture, confidence, float("nan"))
 
     def follow(self, positions: Array, confidence: Array) -> Array:
         """Return the next frame [m]; the less a joint is trusted, the more it is held.

@@ -61,8 +61,6 @@ class Correction(_Arrays):
     Attributes:
         positions: Joint positions [m], shape (J, 3). A method for whole takes may leave
             NaN.
-        rotations: Segment rotations of similar postures, wxyz, shape (J, 4), from which
-            the twist about each bone is taken; None if the method has none.
         confidence: Share of the measurement in each joint, 0 without a measurement,
             shape (J,).
         coverage: How well the method knows the posture, in [0, 1]: a number, or for a
@@ -70,7 +68,6 @@ class Correction(_Arrays):
     """
 
     positions: Array
-    rotations: Array | None
     confidence: Array
     coverage: Any
 
@@ -110,9 +107,8 @@ def checked(
     """
     what, shape = f"the correction by {type(method).__name__}", seen.positions.shape
     check_kind(found, Correction, what)
-    known = {} if found.rotations is None else {"rotations": (*shape[:-1], 4)}
     check_arrays(found, what, {"positions": shape, "coverage": shape[:-2]})
-    check_arrays(found, what, known | {"confidence": shape[:-1]}, finite=True)
+    check_arrays(found, what, {"confidence": shape[:-1]}, finite=True)
     if not np.isfinite(found.positions[finite | ~np.isnan(seen.positions)]).all():
         raise InputError(f"{what}: positions has NaN or infinite values of seen joints")
     correction: Correction = found
@@ -120,17 +116,16 @@ def checked(
 
 
 def joined(parts: Sequence[Correction]) -> Correction:
-    """Return consecutive parts of a take as one; with rotations, all of them have."""
+    """Return consecutive parts of a take as one."""
     rows: Any = zip(*(vars(part).values() for part in parts), strict=True)
-    arrays: list[Any] = [None if r[0] is None else np.concatenate(r) for r in rows]
-    return Correction(*arrays)
+    return Correction(*map(np.concatenate, rows))
 
 
 def measured_only(positions: Array) -> Correction:
     """Return positions as a correction that trusts every joint that is not NaN."""
     confidence = (~np.isnan(positions[..., 0])).astype(float)
     coverage = np.full(positions.shape[:-2], np.nan)
-    return Correction(positions, None, confidence, coverage)
+    return Correction(positions, confidence, coverage)
 
 
 class CorrectorChain(Corrector):

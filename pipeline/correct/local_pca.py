@@ -8,7 +8,6 @@ import numpy as np
 
 from kinefilter.characters import InputError, standard_body
 from kinefilter.characters.arrays import Array, Indices, chunks
-from kinefilter.characters.rotations import normalize
 from kinefilter.pipeline.database import PostureDatabase
 
 from .hold import Blend, measurement_confidence
@@ -127,8 +126,7 @@ class LocalPCA(Corrector):
             moved = np.vecdot(shifts, shifts) > _AS_MEASURED**2
             most = np.where(moved, CORRECTED_CONFIDENCE, 1.0)
             confidence = np.minimum(confidence, most)
-        rotations = self.orientation(priors, nearest, reliability)
-        return Correction(postures, rotations, confidence, coverage)
+        return Correction(postures, confidence, coverage)
 
     def _synthesize_each(
         self, measured: Array, reliability: Array, frames: Iterable[int]
@@ -198,15 +196,3 @@ class LocalPCA(Corrector):
             self._coverage = before * _COVERAGE_MEMORY + now * (1.0 - _COVERAGE_MEMORY)
             coverage[k] = self._coverage
         return coverage
-
-    def orientation(self, postures: Array, nearest: Indices, weights: Array) -> Array:
-        """Return the neighbors' rotations, weighted by inverse difference (VII.B).
-
-        Postures [m] (T, J, 3), neighbors (T, K), weights (T, J); wxyz, (T, J, 4).
-        """
-        apart = self.database.positions[nearest] - postures[:, None]
-        shares = 1.0 / (np.vecdot(apart, apart) @ weights[..., None] + 1e-4)
-        rotations = self.database.rotations[nearest]
-        opposite = np.vecdot(rotations, rotations[:, :1]) < 0.0
-        signed = np.where(opposite, -shares, shares)
-        return normalize((signed[..., None] * rotations).sum(axis=1))

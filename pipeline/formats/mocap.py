@@ -25,7 +25,7 @@ import numpy as np
 from kinefilter.characters import KINECT_V1, KINECT_V2, InputError, Skeleton, State
 from kinefilter.characters.anthropometry import standard_body
 from kinefilter.characters.arrays import Array, Codes
-from kinefilter.characters.rotations import IDENTITY, multiply, rotate
+from kinefilter.characters.rotations import rotate
 from kinefilter.pipeline.reliability import column_medians, segment_lengths
 from kinefilter.retarget.rig_map import listed, load_source_rig, matching_source_rig
 
@@ -69,7 +69,6 @@ class KinectMotion:
     """The motion of a Kinect's joints in mocap, y up."""
 
     positions: Array  # in the file's unit, NaN where missing, shape (T, J, 3)
-    turns: Array | None  # world rotation of the part that turns each segment, wxyz
     state: Codes  # tracking states, shape (T, J)
     unit: str  # best fit to the bones; empty if none fits
     meters: float  # length of the unit, or scale to a standard body if none fits [m]
@@ -221,19 +220,14 @@ def kinect_motion(
         raise InputError(
             f"{mocap.source}: has several people ({who}); export one per file"
         )
-    turned_by = [row.turned_by for row in rig.joints.values() if row.turned_by]
     positions = np.full((len(mocap.positions), len(skeleton), 3), np.nan)
     state = np.full(positions.shape[:2], State.TRACKED, dtype=np.uint8)
-    turns = None
     for j, at in zip(joints, columns, strict=True):
         positions[:, j] = mocap.positions[:, at].mean(axis=1)
         if mocap.confidence is not None:
             confidence = mocap.confidence[:, at].min(axis=1)
             state[~(confidence >= _TRACKED_FROM), j] = State.INFERRED
             state[~(confidence > 0.0), j] = State.NOT_TRACKED
-    if mocap.rotations is not None and len(turned_by) == len(joints):
-        turns = np.tile(IDENTITY, (*positions.shape[:2], 1))
-        turns[:, joints] = mocap.rotations[:, [column[name] for name in turned_by]]
     spine = positions[:, skeleton.girdle] - positions[:, skeleton.root]
     spine = spine[np.isfinite(spine).all(axis=1)]
     if not len(spine):
@@ -243,9 +237,8 @@ def kinect_motion(
     turn = _TO_Y_UP.get((axis, float(np.sign(up[axis]))))
     if turn is not None and (mocap.rotations is None or up[2] == np.abs(up).max()):
         positions = rotate(turn, positions)
-        turns = None if turns is None else multiply(turn, turns)
     unit, meters = find_unit(positions, skeleton, mocap.source)
-    return KinectMotion(positions, turns, state, unit, meters, rig.name)
+    return KinectMotion(positions, state, unit, meters, rig.name)
 
 
 def find_unit(positions: Array, skeleton: Skeleton, source: str) -> tuple[str, float]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take, standard_body
 from kinefilter.characters.arrays import Array, Flags
-from kinefilter.characters.rotations import about_y, inverse, multiply, rotate
 from kinefilter.pipeline.database import PostureDatabase, filter_to_count
 from kinefilter.pipeline.formats.mocap import RIGS, kinect_motion, read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
@@ -19,8 +18,7 @@ from kinefilter.pipeline.reliability import (
     measure_body,
     segment_lengths,
 )
-from kinefilter.retarget import Standardizer, find_yaw, rotations_from_positions
-from kinefilter.retarget.body_posture import fill_missing_joints
+from kinefilter.retarget import Standardizer, fill_missing_joints
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 
 from .spool import Spool
@@ -32,7 +30,6 @@ BUILTIN_POSTURES = 5000
 the postures in real mocap are within 8 cm of one."""
 _PEOPLE = 6  # who perform it
 _PAIRS_STEP = 2  # frames between samples of pairs; the filter drops more than that
-_T_POSE_TOLERANCE = np.radians(25.0)
 
 
 def database_from_mocap(
@@ -53,9 +50,9 @@ def database_from_mocap(
     if not motions:
         raise InputError("no BVH, AMC, C3D or TRC files; give one or more")
 
-    def postures_of(file: Path) -> tuple[str, Array, Array]:
+    def postures_of(file: Path) -> tuple[str, Array]:
         mocap = read_mocap(file, skeletons)
-        return file.name.split(".")[0], *mocap_postures(mocap, skeleton)
+        return file.name.split(".")[0], mocap_postures(mocap, skeleton)
 
     parts = map(postures_of, over(motions, "read", progress))
     return filtered_database(parts, skeleton, f"{len(motions)} mocap files", count)
@@ -73,8 +70,8 @@ def database_from_pairs(
 
 def _truths(
     pairs: Iterable[PairedTake], skeleton: Skeleton, people: set[str]
-) -> Iterator[tuple[str, Array, Array]]:
-    """Yield name, postures and rotations of each clip's mocap; add to ``people``."""
+) -> Iterator[tuple[str, Array]]:
+    """Yield the name and postures of each clip's mocap; add to ``people``."""
     for pair in pairs:
         if pair.take.skeleton != skeleton:
             raise InputError(
@@ -92,7 +89,7 @@ def _truths(
         time = np.arange(len(truth)) * _PAIRS_STEP / POSTURES_PER_SECOND
         seen = np.where(missing[..., None], np.nan, truth)
         body = measure_body(Take(time, seen, state, skeleton, pair.take.source))
-        yield pair.clip, *standard_postures(seen, None, body)
+        yield pair.clip, standard_postures(seen, body)
 
 
 def scripted_database(
@@ -105,8 +102,8 @@ def scripted_database(
 
 def scripted_postures(
     skeleton: Skeleton, progress: Progress = silent, *, people: int = _PEOPLE
-) -> Iterator[tuple[str, Array, Array]]:
-    """Yield the name, postures and segment rotations of every scripted performance.
+) -> Iterator[tuple[str, Array]]:
+    """Yield the name and postures of every scripted performance.
 
     The performers differ in height and build, and the postures are on the standard
     body, 30 a second.
@@ -116,11 +113,11 @@ def scripted_postures(
         seed, name = k // len(MOTIONS), MOTIONS[k % len(MOTIONS)]
         body = random_body(skeleton, np.random.default_rng(seed))
         act = perform(name, body, seed=seed, fps=POSTURES_PER_SECOND)
-        yield name, *standard_postures(act.positions, act.rotations, body)
+        yield name, standard_postures(act.positions, body)
 
 
 def filtered_database(
-    parts: Iterable[tuple[str, Array, Array]],
+    parts: Iterable[tuple[str, Array]],
     skeleton: Skeleton,
     source: str,
     count: int = FILTERED_POSTURES,
@@ -132,11 +129,9 @@ def filtered_database(
     All postures are buffered on disk, because they may not fit into memory.
     """
     # In the file's precision, so that saving and loading change nothing.
-    positions, rotations = Spool(np.float32), Spool(np.float32)
-    names, ends = [], []
-    for name, postures, turns in parts:
+    positions, names, ends = Spool(np.float32), [], []
+    for name, postures in parts:
         positions.add(postures)
-        rotations.add(turns)
         names.append(name)
         ends.append(len(positions))
     if len(positions) < 2:
@@ -147,7 +142,6 @@ def filtered_database(
     kept = filter_to_count(positions.array(), count)
     return PostureDatabase(
         positions.array()[kept],
-        rotations.array()[kept],
         np.array(names)[np.searchsorted(ends, kept, side="right")],
         skeleton,
         source,
@@ -155,20 +149,15 @@ def filtered_database(
     )
 
 
-def standard_postures(
-    positions: Array, rotations: Array | None, body: Body
-) -> tuple[Array, Array]:
-    """Return postures and segment rotations on the standard body, without yaw."""
-    standard = standard_body(body.skeleton)
-    postures, view = Standardizer(body).steps(positions, np.ones(positions.shape[:2]))
-    if rotations is not None:
-        rotations = view.remove_rotations(rotations)
-    postures = fill_missing_joints(postures, standard)
-    return postures, rotations_from_positions(postures, standard, rotations)
+def standard_postures(positions: Array, body: Body) -> Array:
+    """Return postures on the standard body, without yaw."""
+    weights = np.ones(positions.shape[:2])
+    postures, _ = Standardizer(body).steps(positions, weights)
+    return fill_missing_joints(postures, standard_body(body.skeleton))
 
 
-def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return postures and rotations on the standard body, 30 per second."""
+def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> Array:
+    """Return postures on the standard body, 30 per second."""
     motion = kinect_motion(mocap, skeleton, RIGS)
     positions, step = motion.positions, 1.0 / POSTURES_PER_SECOND
     whole = whole_frames(positions)
@@ -178,10 +167,7 @@ def mocap_postures(mocap: Mocap, skeleton: Skeleton) -> tuple[Array, Array]:
             f"{mocap.source}: no frame has all joints; give mocap of the whole body"
         )
     unit, body = mocap_body(positions, skeleton)
-    prior = None
-    if motion.turns is not None and whole[0]:
-        prior = _since_t_pose(motion.turns[frames], positions[0], body)
-    return standard_postures(unit * positions[frames], prior, body)
+    return standard_postures(unit * positions[frames], body)
 
 
 def mocap_body(positions: Array, skeleton: Skeleton) -> tuple[float, Body]:
@@ -202,17 +188,3 @@ def whole_frames(positions: Array) -> Flags:
     """Return a mask of the frames that have every joint the motion ever has, (T,)."""
     missing = np.isnan(positions).any(axis=2)
     return np.asarray((missing == missing.all(axis=0)).all(axis=1))
-
-
-def _since_t_pose(turns: Array, first: Array, body: Body) -> Array | None:
-    """Return rotations relative to a T-pose in the first frame; None without one."""
-    skeleton = body.skeleton
-    heading = about_y(find_yaw(first, skeleton))
-    parts = [j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints]
-    limbs = np.flatnonzero(parts)
-    bones = first[limbs] - first[np.array(skeleton.parents)[limbs]]
-    rest = rotate(heading, body.rest_offsets[limbs])
-    lengths = np.linalg.norm(bones, axis=1) * np.linalg.norm(rest, axis=1)
-    if not np.all(np.vecdot(bones, rest) > np.cos(_T_POSE_TOLERANCE) * lengths):
-        return None
-    return multiply(multiply(turns, inverse(turns[:1])), heading)

@@ -16,8 +16,11 @@ from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.reliability import segment_lengths
 from kinefilter.pipeline.target.floor import clearances
-from kinefilter.retarget import measured_body, rotations_from_positions
-from kinefilter.retarget.body_posture import fill_missing_joints
+from kinefilter.retarget import (
+    fill_missing_joints,
+    measured_body,
+    rotations_from_positions,
+)
 from kinefilter.retarget.standardize import HeadingFrame, find_yaw
 from kinefilter.scenes.sensor import Tracker, observe
 from kinefilter.scenes.sensor.geometry import Sensor, in_sensor_frame, in_world_frame

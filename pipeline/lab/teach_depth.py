@@ -16,12 +16,13 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from kinefilter.characters import SKELETONS, Body, InputError, Skeleton
+from kinefilter.characters import SKELETONS, Body, InputError, Skeleton, standard_body
 from kinefilter.characters.anthropometry import positions_from_rotations
 from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.pipeline.database import filter_to_count
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.workers import workers
+from kinefilter.retarget import rotations_from_positions
 from kinefilter.scenes.library import MOTIONS, perform, random_body
 from kinefilter.scenes.sensor import SENSORS, in_sensor_frame
 from kinefilter.scenes.sensor.depth_tracker import (
@@ -96,8 +97,9 @@ def mocap_rotations(folder: Path, skeleton: Skeleton, *, held_out: bool) -> Arra
     if not files:
         raise InputError(f"{folder}: no BVH of CMU's subjects; give their folder")
     postures = [mocap_postures(read_mocap(file), skeleton) for file in files]
-    positions, rotations = (np.concatenate(p) for p in zip(*postures, strict=True))
-    return rotations[filter_to_count(positions, 2000)]
+    positions = np.concatenate(postures)
+    kept = positions[filter_to_count(positions, 2000)]
+    return rotations_from_positions(kept, standard_body(skeleton))
 
 
 def shots_of(seed: int, count: int, mocap: dict[str, Array]) -> Iterator[Shot]:

@@ -1,7 +1,7 @@
-"""The stages that aim the head and the hands, and twist the forearms.
+"""The stages that orient the segments: limbs, then head and hands.
 
-Relative to chest and forearms, head and hands move slowly and little. So they are
-smoothed there, and more strongly than joints are in the room.
+Relative to the segments before them, these turn slowly and little. So they are smoothed
+there, and more strongly than joints are in the room.
 """
 
 from abc import abstractmethod
@@ -12,21 +12,61 @@ from typing import Any, ClassVar
 import numpy as np
 
 from kinefilter.characters import Body
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import continuous, slerp
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
-from kinefilter.pipeline.stages import Stage
-from kinefilter.retarget import Neck, Palms
+from kinefilter.pipeline.stages import CHUNK, Stage
+from kinefilter.retarget import Hinges, Neck, Palms, chained_rotations
 
 from .planting import PLANTED
 from .smooth import smooth
 from .target_stages import posed
 
 _LEAST_WEIGHT = 0.05  # of an unreliable joint; a reliable one has 1
+_BENDS = 1.5  # Hz, cutoff of limbs' bends in whole takes
+_SOON = 3.0  # Hz, cutoff of the same live, and of which feet stand
 _Filter = Callable[[Array, Array], tuple[Array, Array]]
 """Smooths values (..., K, C) by their weights (..., K); returns both smoothed."""
+
+
+class Orient(Stage):
+    """Stage that gives every segment an orientation: elbows and knees are hinges."""
+
+    name = "orientation"
+    local = True
+    in_parts = False  # rotations keep their sign across gaps
+
+    def start(self, body: Body) -> None:
+        """Reset the state for a new motion."""
+        self._hinges = Hinges(body)
+        self._bends, self._stands = _Mean(_SOON), _Mean(_SOON)
+
+    def step(self, draft: Draft) -> None:
+        """Orient the segments of the next frame."""
+        joints, elapsed = draft.positions, draft.elapsed
+        turns = chained_rotations(joints, draft.body)
+        bends = self._hinges.bends(joints, turns)
+        bends, _ = self._bends(elapsed, bends, np.ones(len(bends)))
+        stands = draft.stands[:, None].astype(float)
+        level, _ = self._stands(elapsed, stands, np.ones(2))
+        draft.rotations = self._hinges.turned(joints, turns, bends, level[:, 0])
+
+    def whole(self, draft: Draft, progress: Progress) -> None:
+        """Orient the segments of a take, continuously over time."""
+        joints, hinges, time = draft.positions, Hinges(draft.body), draft.time
+        rows, turns = chunks(len(joints), CHUNK), np.empty((*joints.shape[:2], 4))
+        for k in rows:
+            turns[k] = chained_rotations(joints[k], draft.body)
+        bends = np.concatenate([hinges.bends(joints[k], turns[k]) for k in rows])
+        bends, _ = _smoothed(time, _BENDS, bends, np.ones(bends.shape[:2]))
+        stands = draft.stands[..., None].astype(float)
+        level = _smoothed(time, _SOON, stands, np.ones(stands.shape[:2]))[0][..., 0]
+        for k in rows:
+            turns[k] = hinges.turned(joints[k], turns[k], bends[k], level[k])
+        draft.rotations = continuous(turns)
+        draft.posed = posed(draft)
 
 
 class _Aim(Stage):

@@ -3,22 +3,19 @@
 from collections import deque
 from collections.abc import Sequence
 from statistics import median
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinefilter.characters import Body, InputError, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
-from kinefilter.characters.rotations import continuous, normalize
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, SharedStage, Stage
 from kinefilter.pipeline.upright import Turn, find_turn, given_turn
-from kinefilter.retarget import BoneLengths, rotations_from_positions
+from kinefilter.retarget import BoneLengths
 
 from . import feet, floor, planting
 from .possible_postures import even_turns, possible_joints, possible_knees
@@ -29,7 +26,6 @@ _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
 _BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
-_TWIST_CUTOFF = 3.0  # Hz; neighbors change from frame to frame, forearms do not
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
 # m by which a live foot is held: where its toes are farther from their place it steps,
 # and its heel rises. Chosen, as planting.HELD, on p00, p04 and p06 of two-kinects.
@@ -346,31 +342,6 @@ class Bones(Stage):
         draft.positions = there
 
 
-class Orient(Stage):
-    """Stage that gives every segment an orientation."""
-
-    name = "orientation"
-    local = True
-    in_parts = False  # rotations keep their sign across gaps
-
-    def step(self, draft: Draft) -> None:
-        """Orient the segments of the next frame."""
-        joints = draft.positions, draft.body, draft.twist
-        draft.rotations = rotations_from_positions(*joints)
-
-    def whole(self, draft: Draft, progress: Progress) -> None:
-        """Orient the segments of a take, continuously over time."""
-        twist, positions, body = draft.twist, draft.positions, draft.body
-        if twist is not None:
-            twist = _smoothed_twist(draft.time, twist)
-        rotations = np.empty((*positions.shape[:2], 4))
-        for k in chunks(len(rotations), CHUNK):
-            prior = None if twist is None else normalize(twist[k].astype(float))
-            rotations[k] = rotations_from_positions(positions[k], body, prior)
-        draft.rotations, draft.twist = continuous(rotations), None
-        draft.posed = posed(draft)
-
-
 def posed(draft: Draft) -> Array:
     """Return joint positions [m] by a take's rotations, above the floor, (T, J, 3)."""
     roots, body = draft.positions[:, draft.skeleton.root], draft.body
@@ -384,15 +355,3 @@ def posed(draft: Draft) -> Array:
 
 def _stood(draft: Draft) -> floor.Stood:
     return floor.Stood(draft.positions, draft.confidence, draft.stands, draft.body)
-
-
-def _smoothed_twist(time: Array, rotations: NDArray[Any]) -> NDArray[Any]:
-    """Return rotations without the jumps between sets of neighboring postures."""
-    smoothed = np.empty_like(rotations)
-    weights = np.ones((len(time), 1))
-    for j in range(rotations.shape[1]):
-        signed = continuous(rotations[:, j, None].astype(float))
-        for k in parts_of(time):
-            path = smooth(time[k], signed[k], weights[k], cutoff=_TWIST_CUTOFF)
-            smoothed[k, j] = path[:, 0]
-    return smoothed

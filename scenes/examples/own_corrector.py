@@ -32,7 +32,7 @@ class Mirror(Corrector):
         mirrored = filled.positions[self._partner] * [-1.0, 1.0, 1.0]
         share = (observation.reliability * filled.confidence)[:, None]
         positions = share * filled.positions + (1.0 - share) * mirrored
-        return Correction(positions, None, share[:, 0], np.nan)
+        return Correction(positions, share[:, 0], np.nan)
 
 
 def main(path: Path, clip: Path) -> None:

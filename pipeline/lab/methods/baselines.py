@@ -175,10 +175,9 @@ class LeastEnergy(LocalPCA):
 
     def _correct(self, take: Observation, frames: Iterable[int]) -> Correction:
         weights = self._weights(take)
-        postures, nearest = self._synthesize_each(take.positions, weights, frames)
-        rotations = self.orientation(postures, nearest, weights)
+        postures, _ = self._synthesize_each(take.positions, weights, frames)
         unknown = np.full(len(postures), np.nan)
-        return Correction(postures, rotations, 0.0 * weights, unknown)
+        return Correction(postures, 0.0 * weights, unknown)
 
     def _weights(self, observation: Observation) -> Array:
         return observation.reliability * _present(observation)
@@ -201,12 +200,8 @@ class Nearest(Corrector):
         """Look up the next frame, independently of earlier ones."""
         weights = _present(observation)
         (k,) = self.database.neighbors(observation.positions, weights, 1)[0]
-        return Correction(
-            self.database.positions[k].astype(float),
-            self.database.rotations[k].astype(float),
-            0.0 * weights,
-            float("nan"),
-        )
+        posture = self.database.positions[k].astype(float)
+        return Correction(posture, 0.0 * weights, float("nan"))
 
 
 def _present(observation: Observation) -> Array:

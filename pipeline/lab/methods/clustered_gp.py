@@ -130,7 +130,7 @@ class ClusteredGP(Learner):
         corrected = self._walk.posture(directions, self._lengths(observation.lengths))
         corrected += posture[self.skeleton.root]
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(corrected, None, confidence, coverage)
+        return Correction(corrected, confidence, coverage)
 
     def _lengths(self, seen: Array | None) -> Array:
         """Return mocap's bone lengths [m] at the scale where Kinect's are standard."""

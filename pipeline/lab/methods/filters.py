@@ -204,7 +204,7 @@ class ConstantLengthKalman(Corrector):
         posture = self._hold.step(replace(observation, positions=known)).positions
         posture = self._with_lengths(posture, tracked)
         self._points.constrain(tracked, posture)
-        return Correction(posture, None, np.where(missing, 0.0, 1.0), float("nan"))
+        return Correction(posture, np.where(missing, 0.0, 1.0), float("nan"))
 
     def _track(self, observation: Observation, missing: Flags) -> Flags:
         """Update the filters; return which joints have an estimate, shape (J,)."""

@@ -87,7 +87,7 @@ class OffsetCorrector(Learner):
                 parent = skeleton.parents[j]
                 corrected[j] = corrected[parent] + posture[j] - posture[parent]
         confidence = np.where(missing, 0.0, CORRECTED_CONFIDENCE)
-        return Correction(corrected, None, confidence, coverage)
+        return Correction(corrected, confidence, coverage)
 
     @abstractmethod
     def _offsets(self, posture: Array, seen: Observation) -> tuple[Array, float]:

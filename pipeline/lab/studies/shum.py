@@ -267,7 +267,7 @@ def _spread(choices: Sequence[int], count: int) -> list[int]:
 
 def _databases(sizes: set[int], progress: Progress) -> dict[int, PostureDatabase]:
     shipped, found = builtin_database(KINECT_V1), dict[int, PostureDatabase]()
-    parts: list[Any] = [("shipped", shipped.positions, shipped.rotations)]
+    parts: list[Any] = [("shipped", shipped.positions)]
     for size in over(sorted(sizes), "filter", progress):
         if size > len(shipped) and len(parts) == 1:
             parts = [*scripted_postures(KINECT_V1, progress)]

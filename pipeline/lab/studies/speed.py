@@ -94,7 +94,7 @@ def million_postures(
 
 def _postures(people: int, progress: Progress) -> Postures:
     spool = Spool(np.float32)
-    for _, positions, _ in scripted_postures(KINECT_V1, progress, people=people):
+    for _, positions in scripted_postures(KINECT_V1, progress, people=people):
         spool.add(positions)
     order = np.random.default_rng(0).permutation(len(spool))[: _SIZES[-1]]
     return np.asarray(spool.array()[order])
