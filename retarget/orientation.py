@@ -14,7 +14,6 @@ from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags, Indices
 from kinefilter.characters.rotations import (
     about_x,
-    about_y,
     between,
     cross,
     inverse,
@@ -56,19 +55,22 @@ def chained_rotations(positions: Array, body: Body) -> Array:
         turns = rotations.take(starts, -2)
         rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
         if skeleton.girdle in ends:
-            _turn_chest(rotations, positions, skeleton)
+            _turn_chest(rotations, positions, body)
     return rotations
 
 
-def _turn_chest(rotations: Array, positions: Array, skeleton: Skeleton) -> None:
+def _turn_chest(rotations: Array, positions: Array, body: Body) -> None:
     """Turn the chest about its axis to the shoulders, and the spine below by half."""
-    chest, (left, right) = skeleton.girdle, skeleton.sides("Shoulder")
+    chest, (left, right) = body.skeleton.girdle, body.skeleton.sides("Shoulder")
+    spine = body.skeleton.parents[chest]
     line = positions[..., left, :] - positions[..., right, :]
-    across = rotate(inverse(rotations[..., chest, :]), line)
-    turn = -np.nan_to_num(_angle(across[..., [0, 2]]))  # none if a shoulder is missing
-    for segment, share in ((skeleton.parents[chest], _HALF), (chest, 1.0)):
-        turned = multiply(rotations[..., segment, :], about_y(share * turn))
-        rotations[..., segment, :] = turned
+    line = rotate(inverse(rotations[..., chest, :]), line)
+    sides = np.stack([_X, cross(body.directions[chest], _X)])
+    # None if a shoulder is missing.
+    turn = np.nan_to_num(_angle(np.vecdot(line[..., None, :], sides)))
+    for segment, share in ((spine, _HALF), (chest, 1.0)):
+        turned = _about(body.directions[segment], share * turn)
+        rotations[..., segment, :] = multiply(rotations[..., segment, :], turned)
 
 
 class Hinges:

@@ -55,15 +55,26 @@ def assert_same_rotations(a: Array, b: Array, atol: float = 1e-7) -> None:
     np.testing.assert_allclose(away, 0.0, atol=atol)
 
 
+def leaning(skeleton: Skeleton) -> Body:
+    """Return a body whose spine rests 0.4 rad forward, as some sensors have it."""
+    body = standard_body(skeleton)
+    lean = twist(np.array([1.0, 0.0, 0.0]), 0.4)
+    spine = np.array([*skeleton.children[skeleton.root], skeleton.girdle])[:, None]
+    directions = body.directions.copy()
+    directions[spine] = rotate(lean, directions[spine])
+    return replace(body, directions=directions)
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     skeleton=st.sampled_from([KINECT_V1, KINECT_V2]),
     seed=st.integers(0, 2**32 - 1),
+    made=st.sampled_from([standard_body, leaning]),
 )
 def test_forward_kinematics_gives_the_positions_back(
-    skeleton: Skeleton, seed: int
+    skeleton: Skeleton, seed: int, made: Callable[[Skeleton], Body]
 ) -> None:
-    body = standard_body(skeleton)
+    body = made(skeleton)
     root = np.random.default_rng(seed).normal(size=(3, 3))
     positions = positions_from_rotations(wild(skeleton, seed), root, body)
     rotations = rotations_from_positions(positions, body)
@@ -225,16 +236,6 @@ def test_leading_axes_pass_through(shape: tuple[int, ...]) -> None:
     for k in range(count):
         single = rotations_from_positions(flat[k], body)
         np.testing.assert_allclose(rows[k], single, atol=1e-12)
-
-
-def leaning(skeleton: Skeleton) -> Body:
-    """Return a body whose spine rests 0.4 rad forward, as some sensors have it."""
-    body = standard_body(skeleton)
-    lean = twist(np.array([1.0, 0.0, 0.0]), 0.4)
-    spine = np.array(body.skeleton.children[skeleton.root])[:, None]
-    directions = body.directions.copy()
-    directions[spine] = rotate(lean, directions[spine])
-    return replace(body, directions=directions)
 
 
 @every_skeleton
