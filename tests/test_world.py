@@ -86,7 +86,8 @@ def test_two_who_collide_exchange_momentum() -> None:
     pair.step(3)
     before = pair.momenta()
     assert before[0, 0] > 80.0
-    assert np.abs(before[1]).max() < 1e-6
+    assert not pair.touch()
+    assert np.abs(before[1]).max() < 0.1  # its elbows and knees bend a little
     data, largest = pair.world.data, 0.0
     roots = [pair.world.model.joint(n).dofadr[0] for n in ("SpineBase", "2:HipCenter")]
     for _ in range(20):

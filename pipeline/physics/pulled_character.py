@@ -29,7 +29,7 @@ from kinefilter.characters.tracking import GameTracking, RagdollTracking
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.floor import clearances, floor_penetration
 
-from .compliance import FALLEN_DAMPING, Compliance
+from .compliance import FALLEN_DAMPING, Compliance, LimpJoints
 from .grasp import Grasp
 from .momentum import Momentum
 from .moves import Coordinates, Move, MovePlanner, check_target
@@ -76,12 +76,11 @@ class PulledCharacter:
         self.root_body = root = int(self._bodies[self._root_joint])
         self._coordinates = where = Coordinates(model, body.skeleton, names)
         self._root, self._speeds = where.root, where.speeds
-        number = world.add(self, where.places, where.speeds)
         # For each body of the model the joint at its end, -1 if not the character's.
         self.joint_of = np.full(model.nbody, -1)
         self.joint_of[self._bodies] = np.arange(len(joints))
         # Forces, then torques: three of the root's, then one per segment.
-        self.group = PULLS - number
+        self.group = PULLS - world.add(self, where.places, where.speeds)
         pulls = np.flatnonzero(model.actuator_group == self.group)
         self._pulls = slice(int(pulls[0]), int(pulls[-1]) + 1)
         bias = model.actuator_biasprm[self._pulls]
@@ -116,6 +115,7 @@ class PulledCharacter:
         soles = self._bodies[ankles_and_toes(body.skeleton)[1]]
         self.feet = StandingFeet(self.data, soles, self._weight)
         self._joint_damping = model.dof_damping[self._speeds].copy()
+        self._limp_joints = LimpJoints(model, body.skeleton, names)
         self.compliance = None
         if isinstance(tracking, GameTracking):
             self.compliance = Compliance(body, tracking)
@@ -223,13 +223,14 @@ class PulledCharacter:
             gained = to_mujoco(acceleration)
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._velocity = velocity
-        share = 1.0 if gives is None else gives.recovered
-        return self.planner(before, after, gained, dt, share)
+        carried = gives.recovered if gives else 1.0
+        return self.planner(before, after, gained, dt, carried)
 
     def begin(self, move: Move, stands: Flags | None) -> None:
         """Apply the forces of a move that do not change during it."""
         gives, data, dt = self.compliance, self.data, move.duration
         self._move, self._target = move, move.after
+        self._limp_joints.set(self.limp)
         carries = not self.limp and (gives is None or gives.follows)
         if self.fastest_start > 0.0 and carries and move.speed < self.fastest_start:
             data.qvel[self._speeds] = self._coordinates.speeds_of(data.qpos, move)
