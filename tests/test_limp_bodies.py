@@ -19,7 +19,8 @@ def test_elbows_and_knees_of_a_thrown_ragdoll_do_not_bend_backward(
 ) -> None:
     character, angle = PulledCharacter(BODY, TRACKINGS["ragdoll"]), np.radians(degrees)
     turns = np.tile(IDENTITY, (len(KINECT_V1), 1))
-    target = BODY.rest_positions + [0.0, 1.0, 0.0], turns
+    high = np.array([0.0, 1.0, 0.0])
+    target = BODY.rest_positions + high, turns
     character.start(*target)
     character.push("Spine", 2000.0 * np.array([np.sin(angle), 0.0, np.cos(angle)]), 0.2)
     least = dict.fromkeys(AHEAD, 180.0)
