@@ -3,7 +3,6 @@
 from .bone_lengths import BoneLengths
 from .orientation import (
     Hinges,
-    chained_rotations,
     fill_missing_joints,
     rotations_from_positions,
 )
@@ -17,7 +16,6 @@ __all__ = [
     "Neck",
     "Palms",
     "Standardizer",
-    "chained_rotations",
     "fill_missing_joints",
     "find_yaw",
     "measured_body",

@@ -24,7 +24,7 @@ from kinefilter.characters.rotations import (
 
 _NO_PLANE = 1e-9  # m^2
 (_X, _Y, _Z), _UNTURNED = np.eye(3), np.array([1.0, 0.0, 0.0, 0.0])
-_HALF = 0.5  # of the turn from hips to shoulders that the lower trunk makes
+_SPINE_SHARES = np.array([0.5, 1.0])  # of the turn from hips to shoulders
 # Weights in a limb's twist; that of its bend is the squared sine. Of a few, chosen on
 # walks and dances of CMU's subjects 02, 05, 07 and 16, with and without a virtual
 # Kinect, whose skeletons have hinges.
@@ -39,38 +39,9 @@ def rotations_from_positions(positions: Array, body: Body) -> Array:
     elbows and knees are hinges. Every other segment has the twist of its parent, turned
     by the smallest rotation that aligns its bone.
     """
-    hinges, rotations = _hinges(body), chained_rotations(positions, body)
-    return hinges.turned(positions, rotations, hinges.bends(positions, rotations))
-
-
-def chained_rotations(positions: Array, body: Body) -> Array:
-    """Return the same as ``rotations_from_positions``, but limbs twist as the chest."""
-    skeleton, rest = body.skeleton, body.rest_offsets
-    rotations = np.empty((*positions.shape[:-1], 4))
-    pelvis, plane = _pelvis_frame(positions, skeleton)
-    pelvis = multiply(pelvis, _from_rest_pelvis(body))
-    rotations[..., skeleton.root, :] = np.where(plane[..., None], pelvis, _UNTURNED)
-    for ends, starts in skeleton.generations:
-        bones = positions.take(ends, -2) - positions.take(starts, -2)
-        turns = rotations.take(starts, -2)
-        rotations[..., ends, :] = _aligned(turns, rest[ends], bones)
-        if skeleton.girdle in ends:
-            _turn_chest(rotations, positions, body)
-    return rotations
-
-
-def _turn_chest(rotations: Array, positions: Array, body: Body) -> None:
-    """Turn the chest about its axis to the shoulders, and the spine below by half."""
-    chest, (left, right) = body.skeleton.girdle, body.skeleton.sides("Shoulder")
-    spine = body.skeleton.parents[chest]
-    line = positions[..., left, :] - positions[..., right, :]
-    line = rotate(inverse(rotations[..., chest, :]), line)
-    sides = np.stack([_X, cross(body.directions[chest], _X)])
-    # None if a shoulder is missing.
-    turn = np.nan_to_num(_angle(np.vecdot(line[..., None, :], sides)))
-    for segment, share in ((spine, _HALF), (chest, 1.0)):
-        turned = _about(body.directions[segment], share * turn)
-        rotations[..., segment, :] = multiply(rotations[..., segment, :], turned)
+    hinges = _hinges(body)
+    rotations = hinges.untwisted(positions)
+    return hinges.twisted(positions, rotations, hinges.bends(positions, rotations))
 
 
 class Hinges:
@@ -82,36 +53,67 @@ class Hinges:
 
     def __init__(self, body: Body) -> None:
         skeleton, sides = body.skeleton, body.skeleton.sides
+        self._skeleton, self._rest = skeleton, body.rest_offsets
+        self._parents = np.array(skeleton.parents)
+        self._pelvis = inverse(_pelvis_frame(body.rest_positions, skeleton)[0])
+        self._shoulders = sides("Shoulder")
+        self._spine = np.array([skeleton.parents[skeleton.girdle], skeleton.girdle])
+        self._spine_axes = body.directions[self._spine]
+        self._chest = np.stack([_X, cross(self._spine_axes[1], _X)])
         self._upper = np.array([*sides("Elbow"), *sides("Knee")])
         self._lower = np.array([*sides("Wrist"), *sides("Ankle")])
-        self._feet, self._rest = np.array(sides("Foot")), body.rest_offsets
-        beyond = [j for start in self._upper for j in skeleton.descendants(start)]
-        kept = ((np.isin(e, beyond), e, s) for e, s in skeleton.generations)
-        self._chains = [(e[some], s[some]) for some, e, s in kept if some.any()]
-        self._along, foot = body.directions[self._upper], body.directions[self._feet]
+        self._feet = np.array(sides("Foot"))
+        self._beyond, level = list[tuple[Indices, Indices]](), self._upper.tolist()
+        while ends := [end for start in level for end in skeleton.children[start]]:
+            self._beyond.append((np.array(ends), self._parents[ends]))
+            level = ends
+        limbs = np.concatenate([ends for ends, _ in self._beyond])
+        high = np.array(skeleton.descendants(skeleton.girdle))
+        self._low = np.setdiff1d(skeleton.segments, [*high, *limbs])
+        self._high = np.setdiff1d(high, limbs)
+        self._along = body.directions[self._upper]
+        self._foot = body.directions[self._feet]
         bend = _Z * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
         self._across = np.stack([bend, cross(self._along, bend)], axis=1)
-        self._soles = np.stack([np.tile(_X, (2, 1)), cross(foot, _X)], axis=1)
-        self._foot = foot
+        self._soles = np.stack([cross(self._foot, _X), np.tile(_X, (2, 1))], axis=1)
+
+    def untwisted(self, positions: Array) -> Array:
+        """Return rotations, wxyz (..., J, 4), of the trunk, upper arms and thighs.
+
+        Limbs twist as the trunk does; what is beyond elbows and knees is not turned.
+        Joint positions [m] have shape (..., J, 3).
+        """
+        rotations = np.empty((*positions.shape[:-1], 4))
+        rotations[:] = _UNTURNED
+        pelvis, plane = _pelvis_frame(positions, self._skeleton)
+        pelvis = np.where(plane[..., None], multiply(pelvis, self._pelvis), _UNTURNED)
+        rotations[..., self._skeleton.root, :] = pelvis
+        self._align(rotations, positions, self._low, pelvis[..., None, :])
+        self._turn_chest(rotations, positions)
+        chest = rotations[..., self._spine[1:], :]
+        self._align(rotations, positions, self._high, chest)
+        return rotations
 
     def bends(self, positions: Array, rotations: Array) -> Array:
         """Return toward where limbs bend, across their upper segments, (..., 4, 2).
 
-        Arguments are joint positions [m] (..., J, 3) and ``chained_rotations``. Vectors
-        are along the bend at rest and at right angles to it, and may be averaged over
-        time. The more a limb bends, the longer they are.
+        Arguments are joint positions [m] (..., J, 3) and ``untwisted`` rotations.
+        Vectors are along the bend at rest and at right angles to it, and may be
+        averaged over time. The more a limb bends, the longer they are.
         """
         frames = inverse(rotations.take(self._upper, -2))
-        bones = self._bones(positions, self._lower, self._upper)
+        bones = unit(positions.take(self._lower, -2) - positions.take(self._upper, -2))
         bends = np.vecdot(rotate(frames, bones)[..., None, :], self._across)
-        bends = np.nan_to_num(bends * np.linalg.norm(bends, axis=-1, keepdims=True))
+        bends = np.nan_to_num(bends * np.sqrt(np.vecdot(bends, bends))[..., None])
         bends[..., 0] += _STRAIGHT
-        toes = self._bones(positions, self._feet, self._lower[2:])
+        toes = unit(
+            positions.take(self._feet, -2) - positions.take(self._lower[2:], -2)
+        )
         toes = rotate(frames[..., 2:, :], toes)[..., None, :]
         bends[..., 2:, :] -= _TOES * np.nan_to_num(np.vecdot(toes, self._across[2:]))
         return np.asarray(bends)
 
-    def turned(
+    def twisted(
         self,
         positions: Array,
         rotations: Array,
@@ -123,25 +125,37 @@ class Hinges:
         Arguments are those and the result of ``bends``. ``level`` (..., 2) says how far
         each foot stands flat on the floor instead of following its shank, in [0, 1].
         """
-        turned = rotations.copy()
+        rotations = rotations.copy()
         twist = _about(self._along, _angle(bends))
-        turned[..., self._upper, :] = multiply(rotations.take(self._upper, -2), twist)
-        for ends, starts in self._chains:
-            bones = positions.take(ends, -2) - positions.take(starts, -2)
-            turns = turned.take(starts, -2)
-            turned[..., ends, :] = _aligned(turns, self._rest[ends], bones)
+        turned = multiply(rotations.take(self._upper, -2), twist)
+        rotations[..., self._upper, :] = turned
+        for ends, starts in self._beyond:
+            turns = rotations.take(starts, -2)
+            self._align(rotations, positions, ends, turns)
         if level is not None:
-            feet = turned.take(self._feet, -2)
+            feet = rotations.take(self._feet, -2)
             up = np.vecdot(rotate(inverse(feet), _Y)[..., None, :], self._soles)
-            roll = -np.arctan2(up[..., 0].copy(), up[..., 1].copy())
-            turned[..., self._feet, :] = multiply(
-                feet, _about(self._foot, level * roll)
-            )
-        return turned
+            roll = _about(self._foot, -level * _angle(up))
+            rotations[..., self._feet, :] = multiply(feet, roll)
+        return rotations
 
-    @staticmethod
-    def _bones(positions: Array, ends: Indices, starts: Indices) -> Array:
-        return unit(positions.take(ends, -2) - positions.take(starts, -2))
+    def _align(
+        self, rotations: Array, positions: Array, ends: Indices, frames: Array
+    ) -> None:
+        """Turn segments from where frames (..., N, 4) have them to their bones."""
+        bones = positions.take(ends, -2) - positions.take(self._parents[ends], -2)
+        aligned = between(rotate(frames, self._rest[ends]), bones)
+        rotations[..., ends, :] = multiply(aligned, frames)
+
+    def _turn_chest(self, rotations: Array, positions: Array) -> None:
+        """Turn the chest to the shoulders, and the spine below by half of that."""
+        left, right = self._shoulders
+        line = positions[..., left, :] - positions[..., right, :]
+        spine = rotations.take(self._spine, -2)
+        line = rotate(inverse(spine[..., 1, :]), line)[..., None, :]
+        turn = np.nan_to_num(_angle(np.vecdot(line, self._chest)))  # 0 where missing
+        turned = _about(self._spine_axes, turn[..., None] * _SPINE_SHARES)
+        rotations[..., self._spine, :] = multiply(spine, turned)
 
 
 def _about(axes: Array, angle: Array) -> Array:
@@ -162,18 +176,9 @@ def fill_missing_joints(positions: Array, body: Body) -> Array:
     return filled
 
 
-def _aligned(rotation: Array, rest: Array, bone: Array) -> Array:
-    return multiply(between(rotate(rotation, rest), bone), rotation)
-
-
 @lru_cache(maxsize=4)
 def _hinges(body: Body) -> Hinges:
     return Hinges(body)
-
-
-@lru_cache(maxsize=4)
-def _from_rest_pelvis(body: Body) -> Array:
-    return inverse(_pelvis_frame(body.rest_positions, body.skeleton)[0])
 
 
 def _pelvis_frame(positions: Array, skeleton: Skeleton) -> tuple[Array, Flags]:

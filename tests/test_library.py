@@ -31,7 +31,7 @@ from kinefilter.pipeline.lab.database_build import (
     database_from_mocap,
     scripted_database,
 )
-from kinefilter.retarget import chained_rotations, find_yaw
+from kinefilter.retarget import Hinges, find_yaw
 from kinefilter.scenes.library import MOTIONS
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def test_the_scripted_database_survives_its_file(
 def knee_bend(base: PostureDatabase) -> Array:
     """Return how far shanks are bent backwards in the frame of the thigh [deg]."""
     bends = []
-    rotations = chained_rotations(base.positions, standard_body(base.skeleton))
+    rotations = Hinges(standard_body(base.skeleton)).untwisted(base.positions)
     for side in ("Left", "Right"):
         knee, ankle = (base.skeleton.index(p + side) for p in ("Knee", "Ankle"))
         shank = base.positions[:, ankle] - base.positions[:, knee]

@@ -24,7 +24,7 @@ from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.formats.mocap import read_mocap
 from kinefilter.pipeline.formats.recording import Mocap
 from kinefilter.pipeline.lab.recorded_acts import mocap_act
-from kinefilter.retarget import chained_rotations
+from kinefilter.retarget import Hinges
 from kinefilter.scenes.sensor import observe
 
 _BENT = np.radians([0.0, 15.0, 40.0, 180.0])
@@ -101,7 +101,7 @@ def main() -> None:
         for name, take in (("mocap", read_take(file)), ("Kinect", seen)):
             clip = Cleaner().clean(take).clip
             limbs = truths(read_mocap(file), clip, clip.time - take.time[0])
-            plain = chained_rotations(clip.positions, clip.body)
+            plain = Hinges(clip.body).untwisted(clip.positions)
             for joint, true in limbs.items():
                 both = plain, clip.rotations
                 pair = [away(turns, clip, joint, true) for turns in both]

@@ -18,7 +18,7 @@ from kinefilter.characters.rotations import continuous, slerp
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, Stage
-from kinefilter.retarget import Hinges, Neck, Palms, chained_rotations
+from kinefilter.retarget import Hinges, Neck, Palms
 
 from .planting import PLANTED
 from .smooth import smooth
@@ -46,25 +46,25 @@ class Orient(Stage):
     def step(self, draft: Draft) -> None:
         """Orient the segments of the next frame."""
         joints, elapsed = draft.positions, draft.elapsed
-        turns = chained_rotations(joints, draft.body)
+        turns = self._hinges.untwisted(joints)
         bends = self._hinges.bends(joints, turns)
         bends, _ = self._bends(elapsed, bends, np.ones(len(bends)))
         stands = draft.stands[:, None].astype(float)
         level, _ = self._stands(elapsed, stands, np.ones(2))
-        draft.rotations = self._hinges.turned(joints, turns, bends, level[:, 0])
+        draft.rotations = self._hinges.twisted(joints, turns, bends, level[:, 0])
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Orient the segments of a take, continuously over time."""
         joints, hinges, time = draft.positions, Hinges(draft.body), draft.time
         rows, turns = chunks(len(joints), CHUNK), np.empty((*joints.shape[:2], 4))
         for k in rows:
-            turns[k] = chained_rotations(joints[k], draft.body)
+            turns[k] = hinges.untwisted(joints[k])
         bends = np.concatenate([hinges.bends(joints[k], turns[k]) for k in rows])
         bends, _ = _smoothed(time, _BENDS, bends, np.ones(bends.shape[:2]))
         stands = draft.stands[..., None].astype(float)
         level = _smoothed(time, _SOON, stands, np.ones(stands.shape[:2]))[0][..., 0]
         for k in rows:
-            turns[k] = hinges.turned(joints[k], turns[k], bends[k], level[k])
+            turns[k] = hinges.twisted(joints[k], turns[k], bends[k], level[k])
         draft.rotations = continuous(turns)
         draft.posed = posed(draft)
 
