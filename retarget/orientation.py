@@ -63,18 +63,20 @@ class Hinges:
         self._upper = np.array([*sides("Elbow"), *sides("Knee")])
         self._lower = np.array([*sides("Wrist"), *sides("Ankle")])
         self._feet = np.array(sides("Foot"))
-        self._beyond, level = list[tuple[Indices, Indices]](), self._upper.tolist()
+        self._beyond, level = list[tuple[Indices, Indices]](), self._lower.tolist()
         while ends := [end for start in level for end in skeleton.children[start]]:
             self._beyond.append((np.array(ends), self._parents[ends]))
             level = ends
-        limbs = np.concatenate([ends for ends, _ in self._beyond])
+        limbs = np.concatenate([self._lower, *(ends for ends, _ in self._beyond)])
         high = np.array(skeleton.descendants(skeleton.girdle))
         self._low = np.setdiff1d(skeleton.segments, [*high, *limbs])
         self._high = np.setdiff1d(high, limbs)
         self._along = body.directions[self._upper]
         self._foot = body.directions[self._feet]
         bend = _Z * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
-        self._across = np.stack([bend, cross(self._along, bend)], axis=1)
+        self._axes = cross(self._along, bend)
+        self._across = np.stack([bend, self._axes], axis=1)
+        self._plane = np.stack([self._along, bend], axis=1)
         self._soles = np.stack([cross(self._foot, _X), np.tile(_X, (2, 1))], axis=1)
 
     def untwisted(self, positions: Array) -> Array:
@@ -126,9 +128,15 @@ class Hinges:
         each foot stands flat on the floor instead of following its shank, in [0, 1].
         """
         rotations = rotations.copy()
-        twist = _about(self._along, _angle(bends))
-        turned = multiply(rotations.take(self._upper, -2), twist)
-        rotations[..., self._upper, :] = turned
+        # Of limbs that seem to bend backward, only the part across counts.
+        twist = _angle(np.stack([np.abs(bends[..., 0]), bends[..., 1]], axis=-1))
+        upper = rotations.take(self._upper, -2)
+        upper = multiply(upper, _about(self._along, twist))
+        rotations[..., self._upper, :] = upper
+        bones = positions.take(self._lower, -2) - positions.take(self._upper, -2)
+        bones = rotate(inverse(upper), bones)[..., None, :]
+        bent = _about(self._axes, _angle(np.vecdot(bones, self._plane)))
+        self._align(rotations, positions, self._lower, multiply(upper, bent))
         for ends, starts in self._beyond:
             turns = rotations.take(starts, -2)
             self._align(rotations, positions, ends, turns)

@@ -23,6 +23,7 @@ from kinefilter.characters import (
 from kinefilter.characters.rotations import (
     IDENTITY,
     about_y,
+    about_z,
     inverse,
     multiply,
     normalize,
@@ -114,7 +115,25 @@ def test_elbows_and_knees_are_hinges(
         assert np.linalg.norm(away) < 0.12 * abs(twisted) + 1e-9
         np.testing.assert_allclose(np.cross(away, along), 0.0, atol=1e-9)
         shank = multiply(inverse(found[upper]), found[beyond[0]])
-        np.testing.assert_allclose(rotation_vector(shank) @ along, 0.0, atol=1e-9)
+        np.testing.assert_allclose(
+            rotation_vector(shank), np.pi / 2 * np.cross(along, ahead), atol=0.25
+        )
+
+
+@every_skeleton
+def test_folded_and_overstretched_arms_do_not_spin(skeleton: Skeleton) -> None:
+    """A forearm passes the upper arm, and an elbow bends backward a little."""
+    body, upper = standard_body(skeleton), skeleton.index("ElbowLeft")
+    beyond = skeleton.descendants(upper)
+    for start, end in ((160.0, 178.0), (-12.0, 12.0)):
+        posed = np.tile(IDENTITY, (200, len(skeleton), 1))
+        bend = np.radians(np.linspace(start, end, 200))
+        aside = np.radians(np.linspace(-3.0, 3.0, 200))
+        posed[:, beyond] = multiply(about_y(-bend), about_z(aside))[:, None]
+        positions = positions_from_rotations(posed, np.zeros((200, 3)), body)
+        found = rotations_from_positions(positions, body)[:, [upper, beyond[0]]]
+        turned = rotation_vector(multiply(inverse(found[:-1]), found[1:]))
+        assert np.degrees(np.abs(turned[..., 0])).max() < 2.0
 
 
 @every_skeleton
