@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Codes, as_numbers, check_kind, shown
 
-from .formats.recording import check_extent, check_rate
+from .formats.recording import check_extent, check_rate, far_joints
 
 _NEEDED = 600  # bytes per joint and frame while cleaning with physics
 _LARGE = 2**29  # bytes; less is assumed to be free
@@ -34,16 +34,20 @@ def checked_frame(
     return np.where(near[:, None], seen, np.nan), np.where(near, states, np.uint8(0))
 
 
-def check_take(take: Take) -> None:
-    """Raise InputError for anything but a take with something to clean."""
+def checked_take(take: Take) -> Take:
+    """Return a take without damaged joints, or raise InputError if none can be cleaned.
+
+    It is refused, too, if the memory is too small for it.
+    """
     check_kind(take, Take, "the take")
+    take = take.without(far_joints(take.positions))
     check_extent(take.positions, take.source)
     check_rate(take.time, take.source)
     if take.time[-1] <= take.time[0]:
         raise InputError(f"{take.source}: one distinct time stamp; a motion needs two")
     needed = take.state.size * _NEEDED
     if needed < _LARGE:
-        return
+        return take
     import psutil  # only needed here
 
     free = psutil.virtual_memory().available
@@ -52,3 +56,4 @@ def check_take(take: Take) -> None:
             f"{take.source}: {len(take)} frames need about {needed / 1e9:.1f} GB of "
             f"memory, but {free / 1e9:.1f} GB are free; cut the take into parts"
         )
+    return take

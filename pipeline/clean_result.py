@@ -15,6 +15,7 @@ from .editing import moved_by_pins
 from .edits import Edit
 from .failures import Failure, describe_damage, find_displaced
 from .formats.plain import times_told
+from .formats.recording import far_joints, far_notes
 from .metrics import Quality, distances, measure
 from .physics import PhysicsTrace
 from .target.floor import to_world
@@ -82,6 +83,7 @@ def result_of(
     ``recorded`` and ``draft`` have its frames with distinct time stamps, and ``frames``
     is the index that restores all.
     """
+    far = far_joints(take.positions)
     measured = to_world(draft.measured, draft.tilt, draft.floor)
     moved_by_correction = distances(draft.posed, measured)
     measured[moved_by_pins(edits, draft.time, take.skeleton)] = np.nan
@@ -105,7 +107,7 @@ def result_of(
         root=final[frames, take.skeleton.root],
         rotations=draft.rotations[frames],
         body=draft.body,
-        state=take.state,
+        state=take.without(far).state,
         reliability=draft.reliability[frames],
         deciding_term=draft.deciding_term[frames],
         origin=draft.origin[frames],
@@ -130,6 +132,7 @@ def result_of(
         (
             *(_told(edit, draft, final) for edit in edits),
             *describe_gaps(long_gaps(take.time), take.time[0], then),
+            *far_notes(take.time, far, take.skeleton),
             *_notes(draft),
         ),
         tuple(map(clip.at, parts_of(clip.time))) if split else (clip,),

@@ -20,7 +20,7 @@ from kinefilter.characters.arrays import as_number, check_choice, check_kind
 from kinefilter.characters.gaps import describe_gaps, long_gaps
 from kinefilter.characters.motion import LATEST_TIME_STAMP, distinct_stamps
 
-from .checks import check_take, checked_frame
+from .checks import checked_frame, checked_take
 from .clean_result import CleanResult, result_of
 from .config import CleanConfig
 from .correct import Corrector
@@ -225,7 +225,7 @@ class Cleaner:
 
         Raises an InputError if there is nothing to clean, or a long gap to refuse.
         """
-        check_take(take)
+        take = checked_take(take)
         if self._gaps == "refuse" and (gaps := long_gaps(take.time)):
             raise InputError(
                 f"{take.source}: {describe_gaps(gaps, take.time[0])[0]}; clean it with "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,11 @@ from made_up_people import complaint, made_up
 from published_layouts import azure_json, msr_action3d_text, msrc_12_text, ntu_text
 from text_files import write_text
 
-from kinefilter.characters import KINECT_V1, Clip
+from kinefilter import CleanConfig, clean
+from kinefilter.characters import KINECT_V1, Clip, InputError, Take
 from kinefilter.pipeline.formats import read_recording, write_clip, write_take_csv
+from kinefilter.pipeline.look.comparison import compare
+from kinefilter.scenes.sensor import sample_take
 
 MakeClip = Callable[..., Clip]
 
@@ -142,3 +146,56 @@ def test_a_torn_last_row_of_a_killed_recording_is_left_out_and_a_note_says_so(
     assert "row 4 has" in complaint(write_text(torn, text[:-30], "\n"))
     assert len(read_recording(write_text(torn, text[:-1])).takes[0]) == 3
     assert "row 4 has" in complaint(write_text(tmp_path / "take.csv", text[:-30]))
+
+
+FAR = "over 10000 m away, so counted as missing: Head, at 0.5 s"
+
+
+def _with_far_head(take: Take) -> Take:
+    positions = take.positions.copy()
+    positions[15, take.skeleton.index("Head"), 2] = 1e6
+    return replace(take, positions=positions)
+
+
+def _written(take: Take, path: Path) -> Path:
+    if path.suffix == ".csv":
+        write_take_csv(take, path)
+    else:
+        write_text(path, ntu_text([take]))
+    return path
+
+
+@pytest.mark.parametrize("name", ["take.csv", "take.skeleton"])
+def test_a_joint_out_of_range_counts_as_missing_and_a_note_says_so(
+    name: str, tmp_path: Path
+) -> None:
+    """One damaged number used to lose the whole take."""
+    whole = made_up(30)
+    path = _written(_with_far_head(whole), tmp_path / name)
+    (take,), notes = read_recording(path).takes, read_recording(path).notes
+    head = whole.skeleton.index("Head")
+    assert notes == (FAR,)
+    assert np.isnan(take.positions[15, head]).all()
+    assert take.state[15, head] == 0
+    assert np.isnan(take.positions).sum() == 3
+
+
+def test_takes_with_many_joints_out_of_range_are_refused(tmp_path: Path) -> None:
+    whole = made_up(30)
+    far = replace(whole, positions=whole.positions + 1e6)
+    assert "convert to meters" in complaint(_written(far, tmp_path / "far.csv"))
+    with pytest.raises(InputError, match=r"frame 1 has a joint 1e\+06 m away"):
+        clean(far)
+
+
+def test_a_take_in_memory_with_a_joint_out_of_range_is_cleaned_and_told() -> None:
+    take = sample_take().at(slice(60))
+    config = CleanConfig(method="none", physics=False)
+    result, usual = (clean(t, config) for t in (_with_far_head(take), take))
+    (told,) = set(result.notes) - set(usual.notes)
+    assert told == FAR
+    assert result.clip.state[15, take.skeleton.index("Head")] == 0
+    moved = np.abs(result.clip.positions - usual.clip.positions)
+    assert moved.max() < 0.03
+    raw = compare(result.clip, _with_far_head(take)).raw
+    assert np.isnan(raw[15, take.skeleton.index("Head")]).all()

@@ -394,7 +394,7 @@ def test_numbers_that_are_no_places_are_refused(make_pair: MakePair) -> None:
         values[3, 0] = np.nan
         with pytest.raises(InputError, match="not finite"):
             compare(replace(clip, **{array: values}), take)
-    with pytest.raises(InputError, match="clip has joints over 1000 m"):
+    with pytest.raises(InputError, match="clip has joints over 10000 m"):
         compare(replace(clip, root=clip.root + 1e200), take)
-    with pytest.raises(InputError, match="take has joints over 1000 m"):
+    with pytest.raises(InputError, match="take has joints over 10000 m"):
         compare(clip, replace(take, positions=take.positions * 1e200))

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinefilter.characters import InputError, Skeleton, State, Take
 from kinefilter.characters.anthropometry import unit_hint
-from kinefilter.characters.arrays import Array, Codes, runs, shown
+from kinefilter.characters.arrays import Array, Codes, Flags, runs, shown
 from kinefilter.characters.gaps import absences
 from kinefilter.characters.motion import nominal_step
 from kinefilter.pipeline.people import Piece, Track, people_of
@@ -32,6 +32,7 @@ _UNITS = {
 _COARSEST = 1e-4  # s: a hundredth of a frame at 100 frames/s
 _LARGEST_PERSON = 10.0  # m; no person spans that, but everyone does in centimeters
 FARTHEST = 10_000.0  # m; out of any sensor's range, so a farther joint is damage
+_MOST_FAR = 0.05  # share of such joints; more are another unit. A guess
 _FRAMES_MEASURED = 1000  # enough for a median
 _FEWEST = 2  # frames of a person: a single frame has no motion
 _GHOST_SHARE, _GHOST_FRAMES = 0.02, 15
@@ -119,6 +120,31 @@ def mark_missing(positions: Array, state: Codes) -> tuple[Array, Codes]:
     return np.where(seen[..., None], positions, np.nan), state
 
 
+def far_joints(positions: Array) -> Flags:
+    """Flag joints (T, J) that are farther away than any sensor sees, if they are few.
+
+    None is flagged if there are many, which ``check_extent`` refuses. Positions [m] are
+    NaN where missing, shape (T, J, 3).
+    """
+    far = np.asarray((np.abs(positions) > FARTHEST).any(axis=-1))
+    known = np.isfinite(positions[..., 0])
+    few = far.sum() <= _MOST_FAR * known.sum()
+    return far if few else np.zeros_like(far)
+
+
+def far_notes(time: Array, far: Flags, skeleton: Skeleton) -> Notes:
+    """Return a note on damaged joints (T, J) for the user; times [s] (T,)."""
+    if not far.any():
+        return ()
+    joints = [skeleton.joints[j] for j in np.flatnonzero(far.any(axis=0))]
+    since, some = time - time[0], np.asarray(far.any(axis=1))
+    spans = [(since[k.start], since[k.stop - 1]) for k in runs(some)]
+    return (
+        f"over {FARTHEST:g} m away, so counted as missing: {', '.join(joints)}, "
+        f"{times_told(spans)}",
+    )
+
+
 def takes_of_rows(
     time: Array, positions: Array, state: Codes, skeleton: Skeleton, source: str
 ) -> tuple[tuple[Take, ...], Notes]:
@@ -131,20 +157,32 @@ def takes_of_rows(
     """
     check_length(len(time), source)
     check_rate(time, source)
-    positions, state = mark_missing(positions, state)
+    positions, state, notes = _without_damage(time, positions, state, skeleton)
     check_extent(positions, source)
     stamps, sightings = _sightings(time, positions, state, skeleton.root)
     if sightings:
-        return takes_of_people(stamps, sightings, skeleton, source)
+        takes, others = takes_of_people(stamps, sightings, skeleton, source)
+        return takes, notes + others
     take = Take(time, positions, state, skeleton, source)
     seen = np.asarray((state > State.NOT_TRACKED).any(axis=1))
     absent = absences(time, seen)
     if not absent.any():
-        return (take,), ()
+        return (take,), notes
     check_length(int(np.sum(~absent)), source)
     since = time - time[0]
     left_out = times_told([(since[k.start], since[k.stop - 1]) for k in runs(absent)])
-    return (take.at(~absent),), (f"nobody in view, left out: {left_out}",)
+    return (take.at(~absent),), (*notes, f"nobody in view, left out: {left_out}")
+
+
+def _without_damage(
+    time: Array, positions: Array, state: Codes, skeleton: Skeleton
+) -> tuple[Array, Codes, Notes]:
+    """Mark missing and damaged joints in positions and states, with notes."""
+    positions, state = mark_missing(positions, state)
+    far = far_joints(positions)
+    state = np.where(far, np.uint8(State.NOT_TRACKED), state)
+    positions = np.where(far[..., None], np.nan, positions)
+    return positions, state, far_notes(time, far, skeleton)
 
 
 def check_length(frames: int, source: str) -> None:
@@ -267,9 +305,11 @@ def takes_of_people(
             where = f"{source}: frame {sighting.frame + 1}"
             raise InputError(f"{where} has body {sighting.body} twice; delete one")
         others.append(row)
-    positions, state = mark_missing(
+    positions, state, notes = _without_damage(
+        time[frames],
         np.reshape([sighting.positions for sighting in sightings], (-1, joints, 3)),
         np.reshape([sighting.state for sighting in sightings], (-1, joints)),
+        skeleton,
     )
     bodies = [np.array(body) for body in rows_of.values()]
     tracks = [Track(time[frames[b]], positions[b], skeleton) for b in bodies]
@@ -304,7 +344,8 @@ def takes_of_people(
             face = np.full((len(span), 3), np.nan)
             face[tracked] = [sightings[row].face for row in rows]
         takes.append(Take(time[span], places, states, skeleton, name, face=face))
-    return tuple(takes), _change_notes([pieces for pieces, _ in people], tracks)
+    changes = _change_notes([pieces for pieces, _ in people], tracks)
+    return tuple(takes), notes + changes
 
 
 def _change_notes(people: Sequence[Sequence[Piece]], tracks: Sequence[Track]) -> Notes:

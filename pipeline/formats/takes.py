@@ -86,9 +86,10 @@ def read_take(
 
     Formats (FORMATS; see CONVENTIONS.md) are detected by content, and may be gzipped.
 
-    A joint that is not tracked, not a number or exactly at the origin, where sensors
-    put joints that they do not see, is missing: NaN and state 0. Joints from trackers
-    of images count as tracked from a confidence of 0.5, and below it as inferred.
+    A joint that is not tracked, not a number, exactly at the origin, where sensors put
+    joints that they do not see, or one of a few over 10 km away is missing: NaN and
+    state 0. Joints from trackers of images count as tracked from a confidence of 0.5,
+    and below it as inferred.
 
     ``format`` overrides the detected one. ``body`` is a person's number, from 1 in
     order of appearance; the default is the one tracked in most frames. ``fps`` is the

@@ -19,6 +19,7 @@ from kinefilter.pipeline.failures import (
     repaired,
 )
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.formats.recording import FARTHEST, far_joints
 from kinefilter.pipeline.metrics import METRICS, distances, measure
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.pipeline.target.feet import planted_feet
@@ -34,7 +35,6 @@ _TRY = "give the take that the clip was made from"
 _SKEW = 1e-6  # s between time stamps of the same frames: rounding
 _DRIFT = 0.1  # s between time stamps and the constant rate of a file without them
 _MEAN = 1e-4  # relative: a frame time that another program rounded
-_FARTHEST = 1e3  # m from the origin: no sensor and no hall reaches as far
 _ROUNDING = 3e-3  # m: takes and GLB in whole millimeters, USD in half precision
 _SAME_LENGTH = 0.2  # s by which two clips of one take may differ in length
 _APART = 0.1  # s, at most, between a frame and the measurement shown for it
@@ -89,6 +89,7 @@ def compare(clip: Clip, take: Take, merged: Merged | None = None) -> Comparison:
     not finite, or has too few frames.
     """
     clip = _with_stamps_of(take, clip)
+    take = take.without(far_joints(take.positions))
     _check(clip, take)
     raw = (in_clip_frame if _has_provenance(clip) else laid_onto_clip)(take, clip)
     distinct = distinct_stamps(clip.time)
@@ -252,8 +253,8 @@ def _check(clip: Clip, take: Take) -> None:
     ):
         raise InputError("the clip is not finite everywhere; clean the take again")
     for name, positions in (("clip", clip.positions), ("take", take.positions)):
-        if (np.abs(positions) > _FARTHEST).any():
-            raise InputError(f"the {name} has joints over {_FARTHEST:g} m away; {_TRY}")
+        if (np.abs(positions) > FARTHEST).any():
+            raise InputError(f"the {name} has joints over {FARTHEST:g} m away; {_TRY}")
 
 
 def same_stamps(clip: Clip, take: Take) -> bool:

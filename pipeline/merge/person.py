@@ -15,7 +15,7 @@ import numpy as np
 from kinefilter.characters import InputError, State, Take
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import distinct_stamps
-from kinefilter.pipeline.checks import check_take
+from kinefilter.pipeline.checks import checked_take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.recording import Recording
@@ -84,7 +84,7 @@ def _score_people(recording: Recording) -> list[tuple[Take, Array]]:
 
 def _score(take: Take) -> tuple[Take, Array]:
     """Return a take with gross failures repaired, and its reliability (T, J)."""
-    check_take(take)
+    take = checked_take(take)
     take = take.at(distinct_stamps(take.time))
     found = Cleaner(CleanConfig(tilt=0.0)).until("reliability").whole(take)
     return found.take(), found.reliability
