@@ -133,7 +133,8 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
     clip_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clip, take = str(clip_path), str(SAMPLE)
-    contacts = tmp_path / "take.contacts.csv"
+    contacts, vrma = tmp_path / "take.contacts.csv", tmp_path / "clip.vrma"
+    write_clip(read_finite_clip(clip_path), vrma)
     write_contacts(read_finite_clip(clip_path), contacts)
     copied = tmp_path / "malformed.csv"
     copied.write_bytes(SAMPLE.read_bytes())
@@ -144,6 +145,10 @@ def test_what_cannot_be_viewed_is_refused_in_one_line(
         ([str(tmp_path / "absent"), "--take", take], "no such file"),
         ([str(tmp_path)], "no manifest.jsonl"),
         ([clip, "--method", "none"], "cleaning options are for takes"),
+        ([clip, "--body", "2"], "--body does not apply to a clip"),
+        ([clip, "--take", take, "--take-fps", "30"], "--take-fps does not apply"),
+        ([clip, "--take", take, "--format", "bvh"], "--format does not apply"),
+        ([str(vrma)], "VRMA and FBX are for other tools"),
         ([take, "--take", take], "requires a clip"),
         ([take, "--edits", take], "would overwrite"),
         ([clip, "--edits", clip], "would overwrite"),
@@ -202,6 +207,7 @@ def test_the_clips_of_a_batch_are_listed_and_opened_in_turn(
     )
     for arguments, words in (
         ([str(clips), "--method", "none"], "apply to a folder"),
+        ([str(clips), "--take-fps", "30"], "apply to a folder"),
         ([str(clips), "--take", str(clips)], "has no take of these clips"),
         ([str(takes)], "no manifest.jsonl"),
     ):

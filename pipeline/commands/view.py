@@ -122,7 +122,8 @@ class View:
         from kinefilter.pipeline.batch.outcome_tables import worst_first
         from kinefilter.pipeline.batch.task import find_takes
 
-        if self.config != CleanConfig() or self.other or self.body:
+        reading = self.body, self.format, self.take_fps
+        if self.config != CleanConfig() or self.other or any(reading):
             raise InputError(
                 f"{folder}: clips are shown as they are; of the options, only --take, "
                 "--calibration, --bind, --port and --open apply to a folder"
@@ -181,6 +182,11 @@ class View:
                 f"{self.motion[0]}: a clip is shown as it is; cleaning options are for "
                 "takes"
             )
+        body = None if self.take else self.body
+        unused = {"format": self.format, "take-fps": self.take_fps, "body": body}
+        for option, given in unused.items():
+            if self._is_clip and given is not None:
+                raise InputError(f"--{option} does not apply to a clip; leave it out")
         if self.take and not self._is_clip:
             raise InputError(
                 f"--take {self.take[0]} requires a clip, but {self.motion[0]} is a take"
@@ -198,7 +204,8 @@ class View:
         names = (path.name.removesuffix(".gz") for path in self.motion)
         suffixes = {Path(name).suffix.lower() for name in names}
         with_take = bool(self.take) and self.take != self.motion
-        kinds = (*WHOLE_CLIPS, ".bvh", ".csv") if with_take else WHOLE_CLIPS
+        # Reading VRMA and FBX as clips says what to give in their place.
+        kinds = (*WHOLE_CLIPS, ".vrma", ".fbx", *(".bvh", ".csv") * with_take)
         return not suffixes.isdisjoint(kinds)
 
     def _compared(self, drawing: Drawing) -> Drawing:
