@@ -24,7 +24,7 @@ from kinefilter.pipeline.live.crowd import Person
 from kinefilter.pipeline.live.live_session import Session
 from kinefilter.pipeline.live.messages import Frame, Reason, SeenBody, format_frame
 from kinefilter.pipeline.live.tally import Event
-from kinefilter.pipeline.physics import playable
+from kinefilter.pipeline.physics import playable, scene_props
 
 Array = NDArray[np.float64]
 TALL = standard_body(KINECT_V1, height=1.8)
@@ -109,6 +109,43 @@ def test_what_a_scene_is_told_wrongly_is_refused() -> None:
             wrong()
     assert scene.place("box", ahead, [1, 0, 0, 0])
     scene.throw(ahead, ahead)
+
+
+@pytest.mark.parametrize(
+    ("place", "low", "high"),
+    [
+        ([1.5, -5.0, 1.5], 0.14, 0.21),  # in the floor
+        ([0.0, 1.0, 0.05], 1.8, 2.1),  # in the person
+        ([-0.95, 0.42, 0.5], 0.55, 0.65),  # in the top of the table
+        ([0.0, 2.5, 0.0], 2.48, 2.5),  # in the air
+    ],
+)
+def test_a_prop_put_into_something_is_put_above_it_and_not_flung_out(
+    place: list[float], low: float, high: float
+) -> None:
+    scene = SharedScene("box", "game")
+    person, heights = Avatar(BODY, scene), []
+    for row in range(30):
+        person.step(BODY.rest_positions, row / 30.0)
+        if row == 5:
+            assert scene.place("box", place, [1, 0, 0, 0])
+        scene.advance()
+        box = next(p for p in scene.props if p.name == "box")
+        heights.append(box.positions[0, 1])
+    assert low < heights[5] < high
+    assert max(heights[5:]) <= heights[5] + 0.02
+
+
+def test_a_prop_without_room_above_stays_where_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = SharedScene("box", "game")
+    Avatar(BODY, scene).step(BODY.rest_positions, 0.0)
+    scene.advance()
+    before = scene.world.data.qpos.copy()
+    monkeypatch.setattr(scene_props, "_RAISES", 3)
+    assert not scene.place("box", [0.0, 1.0, 0.05], [1, 0, 0, 0])
+    np.testing.assert_array_equal(scene.world.data.qpos, before)
 
 
 def test_a_push_goes_on_when_somebody_else_leaves() -> None:

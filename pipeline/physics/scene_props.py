@@ -10,7 +10,7 @@ import numpy as np
 
 from kinefilter.characters import Prop, Shape, ShapeKind
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.humanoid import from_mujoco
+from kinefilter.characters.humanoid import from_mujoco, to_mujoco
 from kinefilter.characters.rotations import continuous
 from kinefilter.retarget import HeadingFrame
 
@@ -27,6 +27,8 @@ _KINDS: dict[int, tuple[ShapeKind, list[int]]] = {
 """Kind of shape by type of geom, and which of its sizes are the half extents."""
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _LAST_VISIBLE = 2  # group of geoms that MuJoCo's own viewer shows by default
+_OVERLAP = 0.01  # m: props that are put deeper into something are flung out
+_RAISE, _RAISES = 0.05, 100  # m, and how often a prop is raised at most. Guesses.
 _UNSET = (0.5, 0.5, 0.5, 1.0)  # the color of a geom that has none of its own
 
 
@@ -78,7 +80,31 @@ class SceneProps:
         body = int(self._model.geom_bodyid[geom])
         return self._name(body) if body else self._model.geom(geom).name or "floor"
 
-    def free_joint(self, name: str) -> Any:
+    def put(self, name: str, position: Array, rotation: Array) -> bool:
+        """Put a prop at a position [m] and rotation, wxyz, at rest, where it has room.
+
+        From inside the floor, people or things it would be flung out, so it is raised
+        above them. Returns False if no prop of that name moves freely, or has room.
+        """
+        if (joint := self._free_joint(name)) is None:
+            return False
+        model, trial = self._model, mujoco.MjData(self._model)
+        trial.qpos[:] = self._data.qpos
+        own = model.body_rootid[model.geom_bodyid] == model.jnt_bodyid[joint.id]
+        place = trial.joint(joint.id).qpos
+        place[:3], place[3:] = to_mujoco(position), to_mujoco(rotation)
+        place[2] = max(place[2], 0.0)
+        for _ in range(_RAISES):
+            mujoco.mj_kinematics(model, trial)
+            mujoco.mj_collision(model, trial)
+            with_others = own[trial.contact.geom].sum(axis=1) == 1
+            if not (with_others & (trial.contact.dist < -_OVERLAP)).any():
+                joint.qpos[:], joint.qvel[:] = place, 0.0
+                return True
+            place[2] += _RAISE
+        return False
+
+    def _free_joint(self, name: str) -> Any:
         """Return the joint, in MuJoCo's data, of a prop that moves freely, or None."""
         for body in self._moving:
             joint = int(self._model.body_jntadr[body])

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from kinefilter.characters import TRACKINGS, Body, InputError, Tracking, TrackingName
 from kinefilter.characters.arrays import Array, Flags, as_numbers, check_choice
-from kinefilter.characters.humanoid import from_mujoco, to_mujoco
+from kinefilter.characters.humanoid import from_mujoco
 from kinefilter.characters.tracking import RagdollTracking
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.stages import Stage
@@ -196,17 +196,14 @@ class SharedScene(Playable):
     def place(self, prop: str, position: ArrayLike, rotation: ArrayLike) -> bool:
         """Put a prop at a position [m] and rotation, wxyz; False if none can be.
 
+        In the floor, a person or another prop, it is put above them.
         Raises an InputError if these are not three and four finite numbers.
         """
         position = as_numbers(position, "the position of a prop [m]", (3,), finite=True)
         rotation = as_numbers(rotation, "the rotation of a prop", (4,), finite=True)
         if not rotation.any():
             raise InputError("the rotation of a prop is zero; give w, x, y, z")
-        joint = self.scene_props.free_joint(prop) if self.has_world else None
-        if joint is not None:
-            joint.qpos[:3], joint.qpos[3:] = to_mujoco(position), to_mujoco(rotation)
-            joint.qvel[:] = 0.0
-        return joint is not None
+        return self.has_world and self.scene_props.put(prop, position, rotation)
 
     def contacts(self, person: SharedPhysics) -> tuple[Contact, ...]:
         """Return where a person touches the floor, props and other people."""
