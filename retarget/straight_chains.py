@@ -80,11 +80,11 @@ class _StraightChains:
         mixed = unit(weights[..., None] * aims + self._straight * self.along)
         bend = np.arccos(np.vecdot(mixed, self.along).clip(-1.0, 1.0))
         away = unit(mixed - np.cos(bend)[..., None] * self.along)
-        less = _softened(bend, *self._bend)[..., None]
+        less = softened(bend, *self._bend)[..., None]
         return np.asarray(np.cos(less) * self.along + np.sin(less) * away)
 
 
-def _softened(angle: Array, free: float, most: float) -> Array:
+def softened(angle: Array, free: float, most: float) -> Array:
     """Return angles [rad] whose size stays to ``free`` and never reaches ``most``."""
     room, size = most - free, np.abs(angle)
     less = free + room * np.tanh((size - free) / room)
@@ -119,7 +119,7 @@ class Neck(_StraightChains):
         ``weights`` (..., 1) are those of ``faces``, 1 where the face is seen.
         """
         left, ahead = np.moveaxis(weights[..., None] * faces, -1, 0)
-        return _softened(np.arctan2(left, ahead + _AHEAD), *_TURN)
+        return softened(np.arctan2(left, ahead + _AHEAD), *_TURN)
 
     def posed(
         self, positions: Array, rotations: Array, head: Array, turn: Array | None = None
@@ -193,7 +193,7 @@ class Palms(_StraightChains):
         counts, as then the tracker has mostly lost it.
         """
         toward, across = np.moveaxis(weights[..., None] * thumbs, -1, 0)
-        return _softened(np.arctan2(across, np.abs(toward + _UNTWISTED)), *_TWIST)
+        return softened(np.arctan2(across, np.abs(toward + _UNTWISTED)), *_TWIST)
 
     def posed(
         self, positions: Array, rotations: Array, hands: Array, twist: Array
