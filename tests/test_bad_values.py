@@ -174,7 +174,7 @@ def test_takes_that_are_no_recording_are_refused() -> None:
     for wrong in (
         {"time": with_one(TIME, 1e300)},
         {"time": with_one(TIME, np.nan)},
-        {"positions": with_one(PLACES, 1e300)},
+        {"positions": np.full_like(PLACES, 1e300)},
         {"positions": PLACES * 100.0},
         {"positions": np.full_like(PLACES, np.inf)},
         {"time": TIME * 1e-9},

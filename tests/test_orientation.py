@@ -93,17 +93,19 @@ def test_a_performance_goes_through_positions_and_back(skeleton: Skeleton) -> No
 
 
 @every_skeleton
-@pytest.mark.parametrize(("part", "sign"), [("Elbow", 1.0), ("Knee", -1.0)])
+@pytest.mark.parametrize(
+    ("part", "sign", "most"), [("Elbow", 1.0, 80.0), ("Knee", -1.0, 30.0)]
+)
 @pytest.mark.parametrize("side", ["Left", "Right"])
 def test_elbows_and_knees_are_hinges(
-    skeleton: Skeleton, part: str, side: str, sign: float
+    skeleton: Skeleton, part: str, side: str, sign: float, most: float
 ) -> None:
     """However an upper segment is twisted, its limb's bend tells: here."""
     body = standard_body(skeleton)
     upper = skeleton.index(part + side)
     beyond = skeleton.descendants(upper)
     along, ahead = body.directions[upper], np.array([0.0, 0.0, sign])
-    for twisted in np.radians([-80.0, -30.0, 0.0, 50.0, 80.0]):
+    for twisted in np.radians(most) * np.array([-1.0, -0.4, 0.0, 0.6, 1.0]):
         posed = np.tile(IDENTITY, (len(skeleton), 1))
         posed[[upper, *beyond]] = twist(along, twisted)
         axis = rotate(posed[upper], np.cross(along, ahead))
