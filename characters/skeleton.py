@@ -125,13 +125,6 @@ class Skeleton:
         """Index of the joint at which each of ``segments`` starts."""
         return np.array([self.parents[j] for j in self.segments])
 
-    @cached_property
-    def generations(self) -> tuple[tuple[Indices, Indices], ...]:
-        """Ends and starts of the segments that are equally far from the root."""
-        far = np.array([len(self.ancestors(j)) for j in self.segments.tolist()])
-        ends = [self.segments[far == distance] for distance in np.unique(far)]
-        return tuple((some, np.array(self.parents)[some]) for some in ends)
-
     def bones(self, positions: Array) -> Array:
         """Return the vector from start to end of each of ``segments``, (..., S, 3)."""
         # Twice as fast as indices in brackets.
