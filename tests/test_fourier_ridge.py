@@ -23,7 +23,7 @@ from kinefilter.characters import (
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Observation, fourier_ridge
 from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
-from kinefilter.pipeline.correct.posture_features import RandomFeatures
+from kinefilter.pipeline.correct.posture_features import RandomFeatures, part_of_turn
 from kinefilter.pipeline.factory import Model, make_corrector, save_model, shipped_model
 from kinefilter.pipeline.lab.accuracy import Accuracy
 from kinefilter.pipeline.lab.methods import fourier_ridge_learner as learner
@@ -355,11 +355,11 @@ def test_trunks_are_turned_away_from_the_sensor_up_to_a_right_angle() -> None:
     """Not those that face it; those seen from behind as if they were in front."""
     shown = np.radians([[0.0, 10.0, 31.5, 60.0, 85.0, 90.0, 95.0, 180.0]])
     toward = np.stack([np.sin(shown), np.cos(shown)], axis=-1)
-    turn = np.degrees(fourier_ridge._turn(toward * [-1.0, 1.0], 0.4))
+    turn = np.degrees(part_of_turn(toward * [-1.0, 1.0], 0.4))
     few, more = 0.4 * (31.5 - np.degrees(0.2)), 0.4 * (60.0 - np.degrees(0.2))
     expected = [[0.0, 0.0, few, more, 5.0, 0.0, -5.0, 0.0]]
     np.testing.assert_allclose(turn, expected, atol=1e-9)
-    mirrored = np.degrees(fourier_ridge._turn(toward, 0.4))
+    mirrored = np.degrees(part_of_turn(toward, 0.4))
     np.testing.assert_allclose(mirrored, np.negative(expected), atol=1e-9)
 
 

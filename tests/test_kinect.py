@@ -13,7 +13,7 @@ from posed_people import BODY, EXACT, NO_ERRORS, index, posed, room_with
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, standard_body
-from kinefilter.pipeline.correct.fourier_ridge import turned_away
+from kinefilter.pipeline.correct.posture_features import turned_away
 from kinefilter.scenes.library import perform
 from kinefilter.scenes.sensor import (
     SENSORS,

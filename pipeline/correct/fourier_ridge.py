@@ -42,6 +42,7 @@ from .posture_features import (
     PostureFeatures,
     RandomFeatures,
     direction_to,
+    part_of_turn,
     similarity_to,
 )
 
@@ -68,7 +69,6 @@ _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 # s07 and s08, and on p00 to p08.
 _TIED = 0.02
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
-_TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 
 _CHUNK = 256  # frames at a time: features of more do not fit into caches. Timed.
 
@@ -315,7 +315,7 @@ class FourierRidge(LearnedCorrector):
             bones = moved - moved.take(self._parents, -2) * self._hangs
             bones[..., self._posture_features.limbs, :] *= scale
             moved = self._chain @ bones
-        turn = _turn(found.toward, float(self.turn_share_))
+        turn = part_of_turn(found.toward, float(self.turn_share_))
         turn = _beside_share(found.similar)[..., 0] * turn
         if turn.any():
             for pair in self._pairs:
@@ -381,25 +381,6 @@ def _beside_share(similar: Array) -> Array:
     """Return the weight (..., 1) of the two-sensor data, given both similarities."""
     frontal, beside = similar[..., :1], similar[..., 1:]
     return _ramp(beside, _FAR, _NEAR) * _ramp(beside - frontal, -_TIED, _TIED)
-
-
-def turned_away(toward: Array) -> Array:
-    """Return how far people are turned away from the sensor, beyond ``_TURNED`` [rad].
-
-    ``toward`` (..., 2) is the direction to it. Positive to the left; opposite for those
-    seen from behind, whom the sensor shows as if it saw them from the front.
-    """
-    left, ahead = -toward[..., 0], toward[..., 1]
-    angle = np.arctan2(left, np.abs(ahead))
-    beyond = np.maximum(np.abs(angle) - _TURNED, 0.0)
-    return np.asarray(np.sign(left) * np.sign(ahead) * beyond)
-
-
-def _turn(toward: Array, share: float) -> Array:
-    """Return a share of ``turned_away`` [rad], which ends at a right angle."""
-    away = turned_away(toward)
-    room = np.pi / 2.0 - _TURNED - np.abs(away)
-    return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))
 
 
 def _turned(positions: Array, turn: Array, center: Array) -> Array:

@@ -25,6 +25,7 @@ _PARTS = (
 # Weight of features of the rest of the body: the smaller, the more of the training
 # carries over to new movements. Chosen by leaving one of six people and a movement out.
 _REST = 0.15
+_TURNED = 0.2  # rad from the sensor up to which trunks are shown as they are
 _LINEAR = 0.8  # variance of the linear part, against 1 for the Gaussian part
 
 REACH = 2.0 * _APART  # s: older frames do not influence the features of movement
@@ -229,3 +230,22 @@ def similarity_to(features: Singles, centers: Singles, squares: Singles) -> Arra
     nearest = (squares - 2.0 * features @ centers.T).min(axis=1)
     nearest = nearest + np.vecdot(features, features)
     return np.asarray(np.exp(-0.5 * np.maximum(nearest, 0.0)))
+
+
+def turned_away(toward: Array) -> Array:
+    """Return how far people are turned away from the sensor, beyond ``_TURNED`` [rad].
+
+    ``toward`` (..., 2) is the direction to it. Positive to the left; opposite for those
+    seen from behind, whom the sensor shows as if it saw them from the front.
+    """
+    left, ahead = -toward[..., 0], toward[..., 1]
+    angle = np.arctan2(left, np.abs(ahead))
+    beyond = np.maximum(np.abs(angle) - _TURNED, 0.0)
+    return np.asarray(np.sign(left) * np.sign(ahead) * beyond)
+
+
+def part_of_turn(toward: Array, share: float) -> Array:
+    """Return a share of ``turned_away`` [rad], which ends at a right angle."""
+    away = turned_away(toward)
+    room = np.pi / 2.0 - _TURNED - np.abs(away)
+    return np.asarray(np.sign(away) * np.minimum(share * np.abs(away), room))

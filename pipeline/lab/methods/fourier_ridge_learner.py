@@ -13,12 +13,13 @@ from kinefilter.characters import InputError, Skeleton
 from kinefilter.characters.arrays import Array, Indices, Singles
 from kinefilter.characters.rotations import wrapped
 from kinefilter.pipeline.correct import Hold
-from kinefilter.pipeline.correct.fourier_ridge import FourierRidge, turned_away
+from kinefilter.pipeline.correct.fourier_ridge import FourierRidge
 from kinefilter.pipeline.correct.posture_features import (
     Part,
     PostureFeatures,
     RandomFeatures,
     direction_to,
+    turned_away,
 )
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.retarget import find_yaw
