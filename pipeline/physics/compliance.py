@@ -41,7 +41,7 @@ _GRASP_TIME = 0.3  # s in which the pulls of a lying body recover. A guess.
 _STILL, _LONGEST = 0.5, 4.0  # m/s below which, or s after which, a fallen body rises
 _BENT = np.radians(30.0)  # of elbows and knees of a limp body. A guess.
 # N m/rad, of elbows and knees. Of a few pairs, chosen on twelve falls of one take: on
-# sixteen others, elbows bend backward by 7 degrees at worst on average (59 without).
+# sixteen others, elbows bend backward by 8 degrees at worst on average (59 without).
 _SPRINGS = np.array([30.0, 30.0, 60.0, 60.0])
 _RETURN_RATE = 4.0  # 1/s, of the distance that is left, at the end. A guess.
 
