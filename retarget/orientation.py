@@ -27,14 +27,14 @@ from .straight_chains import softened
 _NO_PLANE = 1e-9  # m^2
 (_X, _Y, _Z), _UNTURNED = np.eye(3), np.array([1.0, 0.0, 0.0, 0.0])
 _SPINE_SHARES = np.array([0.5, 1.0])  # of the turn from hips to shoulders
-# Weights in a limb's twist; that of its bend is the squared sine. Of a few, chosen on
-# walks and dances of CMU's subjects 02, 05, 07 and 16, with and without a virtual
-# Kinect, whose skeletons have hinges.
-_STRAIGHT = 0.1  # of no twist against the segment before: of a bend by 18 degrees
+# What decides a limb's twist has these weights, its bend the squared sine of its angle.
+# Chosen on walks and dances of CMU's subjects 02, 05, 07 and 16, whose skeletons have
+# hinges, as they are and as a virtual Kinect sees them.
+_STRAIGHT = 0.1  # of the trunk, with which straight limbs twist
+_TOES = 0.05  # of the direction of the toes, for legs
 _TWIST = np.radians([[90.0, 90.0, 30.0, 30.0], [100.0, 100.0, 50.0, 50.0]])
 """Angles [rad] to which arms and legs twist freely, and that they never reach: in that
 mocap, 98 % of the thighs are twisted by -45 to 37 degrees."""
-_TOES = 0.05  # of toes that point where the knee does
 
 
 def rotations_from_positions(positions: Array, body: Body) -> Array:
@@ -87,8 +87,8 @@ class Hinges:
     def untwisted(self, positions: Array) -> Array:
         """Return rotations, wxyz (..., J, 4), of the trunk, upper arms and thighs.
 
-        Limbs twist as the trunk does; what is beyond elbows and knees is not turned.
-        Joint positions [m] have shape (..., J, 3).
+        Limbs twist as the trunk does; segments beyond elbows and knees are left
+        unrotated. Joint positions [m] have shape (..., J, 3).
         """
         rotations = np.empty((*positions.shape[:-1], 4))
         rotations[:] = _UNTURNED
@@ -102,11 +102,12 @@ class Hinges:
         return rotations
 
     def bends(self, positions: Array, rotations: Array) -> Array:
-        """Return toward where limbs bend, across their upper segments, (..., 4, 2).
+        """Return the directions in which limbs bend, (..., 4, 2).
 
         Arguments are joint positions [m] (..., J, 3) and ``untwisted`` rotations.
-        Vectors are along the bend at rest and at right angles to it, and may be
-        averaged over time. The more a limb bends, the longer they are.
+        Vectors are perpendicular to the upper segment: their components are along the
+        direction of bending at rest, and across it. They are longer the more a limb
+        bends, and may be averaged over time.
         """
         frames = inverse(rotations.take(self._upper, -2))
         bones = unit(positions.take(self._lower, -2) - positions.take(self._upper, -2))
@@ -133,7 +134,7 @@ class Hinges:
         each foot stands flat on the floor instead of following its shank, in [0, 1].
         """
         rotations = rotations.copy()
-        # Of limbs that seem to bend backward, only the part across counts.
+        # If a limb seems to bend backward, only the component across counts.
         twist = _angle(np.stack([np.abs(bends[..., 0]), bends[..., 1]], axis=-1))
         twist = softened(twist, *_TWIST)
         upper = rotations.take(self._upper, -2)

@@ -84,7 +84,8 @@ def test_a_stored_spacing_is_the_measured_one(
     again = replace(shipped)
     assert "spacing" not in vars(again)
     assert again.spacing == pytest.approx(shipped.spacing, rel=1e-12)
-    np.savez(tmp_path / "old.npz", **parts_of(made_up()))  # a file without it
+    turns = np.zeros((60, 20, 4))  # older files have rotations, and no spacing
+    np.savez(tmp_path / "old.npz", rotations=turns, **parts_of(made_up()))
     old = PostureDatabase.load(tmp_path / "old.npz")
     assert old.spacing == made_up().spacing
 

@@ -33,7 +33,6 @@ from kinefilter.pipeline.formats import Export
 from kinefilter.pipeline.formats.export import even_frames, resampled
 from kinefilter.pipeline.formats.files import numbered, part_paths
 from kinefilter.pipeline.formats.sheets import write_take_csv
-from kinefilter.pipeline.formats.takes import read_recording
 from kinefilter.pipeline.look.comparison import compare
 from kinefilter.pipeline.look.page import page_contents
 from kinefilter.pipeline.physics import Targets, pull_through
@@ -44,7 +43,7 @@ from kinefilter.scenes.library import perform
 FRAMES = 40  # of each part
 
 
-def _walk() -> Take:
+def a_walk() -> Take:
     act = perform("walk", standard_body(KINECT_V1), seed=3)
     some = slice(30, 30 + FRAMES)
     state = np.full((FRAMES, len(KINECT_V1)), State.TRACKED, dtype=np.uint8)
@@ -70,7 +69,7 @@ LEVEL = CleanConfig(tilt=0.0)
 @pytest.fixture(scope="module")
 def held() -> CleanResult:
     """A walk, a gap of a minute, and the same walk again."""
-    return clean(_with_gap(60.0, _walk()), LEVEL)
+    return clean(_with_gap(60.0, a_walk()), LEVEL)
 
 
 def test_gaps_of_over_two_seconds_part_a_take() -> None:
@@ -86,7 +85,7 @@ def test_each_side_of_a_gap_is_a_motion_of_its_own(held: CleanResult) -> None:
     before, after = clip.positions[:FRAMES], clip.positions[FRAMES:]
     np.testing.assert_allclose(after, before, atol=1e-6)
     np.testing.assert_array_equal(clip.contacts[:FRAMES], clip.contacts[FRAMES:])
-    alone = clean(_walk(), LEVEL).clip
+    alone = clean(a_walk(), LEVEL).clip
     np.testing.assert_allclose(before, alone.positions, atol=1e-3)
     assert alone.positions.shape == before.shape
     assert held.trace is not None
@@ -99,14 +98,14 @@ def test_one_side_does_not_depend_on_how_long_ago_the_other_was(
     held: CleanResult,
 ) -> None:
     """Nor does a gap of thirty years take any longer than one of a minute."""
-    far = clean(_with_gap(1e9, _walk()), LEVEL).clip
+    far = clean(_with_gap(1e9, a_walk()), LEVEL).clip
     np.testing.assert_allclose(far.positions, held.clip.positions, atol=1e-5)
 
 
 def test_one_side_does_not_depend_on_what_the_other_does(held: CleanResult) -> None:
     """Body, tilt and floor given: nothing else is shared."""
     fixed = CleanConfig(height=1.75, tilt=0.0, floor=0.0, method="none")
-    walk = _walk()
+    walk = a_walk()
     back = replace(walk, positions=np.add(walk.positions[::-1], [0.3, 0.0, 0.2]))
     one, other = (
         clean(_with_gap(3.0, walk, second), fixed).clip.positions[:FRAMES]
@@ -118,7 +117,7 @@ def test_one_side_does_not_depend_on_what_the_other_does(held: CleanResult) -> N
 
 def test_no_figure_is_measured_across_a_gap(held: CleanResult) -> None:
     """Who flies over the gap and lands elsewhere neither skates nor falls."""
-    alone = clean(_walk(), LEVEL)
+    alone = clean(a_walk(), LEVEL)
     for name, quality in held.stages.items():
         other = alone.stages[name]
         for figure in ("jitter", "peak_hand_speed", "skate_max_m_per_s"):
@@ -130,7 +129,7 @@ def test_no_figure_is_measured_across_a_gap(held: CleanResult) -> None:
 
 
 def test_a_part_of_one_frame_or_with_nobody_is_a_part_all_the_same() -> None:
-    walk = _walk()
+    walk = a_walk()
     nobody = replace(
         walk,
         positions=np.full_like(walk.positions, np.nan),
@@ -183,14 +182,14 @@ def test_gaps_are_told_in_seconds_since_the_first_frame(
     assert note == f"{words}: the character holds still"
     many = np.cumsum(np.tile([0.03, 0.03, 3.0], 40))
     crowd = replace(
-        _walk(),
+        a_walk(),
         time=many[:FRAMES],
     )
     assert "and 8 more such gaps" in clean(crowd, CleanConfig(physics=False)).notes
     path = tmp_path / "walk.csv"
-    write_take_csv(_with_gap(60.0, _walk()), path)
+    write_take_csv(_with_gap(60.0, a_walk()), path)
     assert contents_of(path)["bodies"][0]["gaps"] == [{"start_s": start, "end_s": end}]
-    page = page_contents(compare(held.clip, _with_gap(60.0, _walk())), ())
+    page = page_contents(compare(held.clip, _with_gap(60.0, a_walk())), ())
     assert list(page["damage"]) == [words]
 
 
@@ -198,7 +197,7 @@ def test_info_and_clean_tell_the_gap(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = tmp_path / "walk.csv", tmp_path / "walk.usda"
-    write_take_csv(_with_gap(60.0, _walk()), path)
+    write_take_csv(_with_gap(60.0, a_walk()), path)
     assert main(["info", str(path)]) == 0
     assert "(60 s)" in capsys.readouterr().out
     figures = tmp_path / "figures.json"
@@ -210,15 +209,15 @@ def test_info_and_clean_tell_the_gap(
 
 def test_a_take_with_a_gap_can_be_refused(held: CleanResult) -> None:
     strict = Cleaner(CleanConfig(gaps="refuse"))
-    assert len(strict.clean(_walk()).clips) == 1
+    assert len(strict.clean(a_walk()).clips) == 1
     with pytest.raises(InputError, match=r"no frames from .* \(60 s\).*--gaps"):
-        strict.without("physics").clean(_with_gap(60.0, _walk()))
+        strict.without("physics").clean(_with_gap(60.0, a_walk()))
     assert held.clips == (held.clip,)
 
 
 def test_a_take_is_split_at_its_gaps(held: CleanResult, tmp_path: Path) -> None:
     take = tmp_path / "walk.csv"
-    write_take_csv(_with_gap(60.0, _walk()), take)
+    write_take_csv(_with_gap(60.0, a_walk()), take)
     out = tmp_path / "walk.bvh"
     words = ["clean", str(take), "-o", str(out), "--gaps", "split", "--tilt", "0"]
     assert main(words) == 0
@@ -230,7 +229,9 @@ def test_a_take_is_split_at_its_gaps(held: CleanResult, tmp_path: Path) -> None:
             clip.positions, held.clip.positions[:FRAMES], atol=1e-3
         )
         assert clip.fps == pytest.approx(held.clip.fps, rel=1e-3)
-    split = Cleaner(CleanConfig(gaps="split", tilt=0.0)).clean(_with_gap(60.0, _walk()))
+    split = Cleaner(CleanConfig(gaps="split", tilt=0.0)).clean(
+        _with_gap(60.0, a_walk())
+    )
     np.testing.assert_array_equal(split.clips[1].time, held.clip.time[FRAMES:])
     assert split.notes[0].endswith(": the next clip begins")
 
@@ -239,7 +240,7 @@ def test_a_span_within_a_gap_is_told_and_with_parts_it_is_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     take = tmp_path / "walk.csv"
-    write_take_csv(_with_gap(60.0, _walk()), take)
+    write_take_csv(_with_gap(60.0, a_walk()), take)
     out = tmp_path / "walk.bvh"
     words = ["clean", str(take), "-o", str(out), "--begin", "10", "--end", "20"]
     assert main(words) == 2
@@ -253,7 +254,7 @@ def test_a_span_within_a_gap_is_told_and_with_parts_it_is_refused(
 
 def test_no_part_overwrites_what_the_user_has(tmp_path: Path) -> None:
     take = tmp_path / "walk.part2.csv"
-    write_take_csv(_with_gap(60.0, _walk()), take)
+    write_take_csv(_with_gap(60.0, a_walk()), take)
     before = take.read_bytes()
     command = ["clean", str(take), "-o", str(tmp_path / "walk.csv"), "--gaps", "split"]
     assert main(command) == 2
@@ -273,7 +274,7 @@ def test_names_of_parts_and_people_go_together() -> None:
 def test_batch_splits_and_misses_a_part_that_is_gone(tmp_path: Path) -> None:
     folder, out = tmp_path / "takes", tmp_path / "clips"
     folder.mkdir()
-    write_take_csv(_with_gap(60.0, _walk()), folder / "walk.csv")
+    write_take_csv(_with_gap(60.0, a_walk()), folder / "walk.csv")
     (folder / "kinefilter.toml").write_text('gaps = "split"\nphysics = false\n')
     store = store_at(str(out))
     sources = find_sources([str(folder)], str(out))
@@ -335,7 +336,7 @@ def test_written_clips_hold_still_in_a_gap(
 def test_which_files_can_be_compared_across_a_gap_is_told(
     held: CleanResult, tmp_path: Path
 ) -> None:
-    take = _with_gap(60.0, _walk())
+    take = _with_gap(60.0, a_walk())
     write_clip(held.clip, tmp_path / "walk.bvh")
     for clip in (read_clip(tmp_path / "walk.bvh"), held.clip.at(np.s_[:FRAMES])):
         with pytest.raises(InputError, match=r"\(60 s\).*--gaps hold to \.npz"):
@@ -362,7 +363,7 @@ def test_what_cannot_be_written_is_refused_before_it_is_cleaned(
 ) -> None:
     monkeypatch.setattr("kinefilter.pipeline.cleaner.clean", None)
     take = tmp_path / "walk.csv"
-    write_take_csv(_with_gap(1e6, _walk()), take)
+    write_take_csv(_with_gap(1e6, a_walk()), take)
     assert main(["clean", str(take), "-o", str(tmp_path / "walk.bvh")]) == 2
     assert "--gaps split" in capsys.readouterr().err
 
@@ -378,36 +379,10 @@ def test_a_long_clip_at_a_high_rate_is_refused(held: CleanResult) -> None:
 
 
 def test_live_a_pause_of_years_is_a_pause() -> None:
-    walk, avatar = _walk(), Avatar(standard_body(KINECT_V1))
+    walk, avatar = a_walk(), Avatar(standard_body(KINECT_V1))
     for shift in (0.0, 60.0, 1e9):
         for k in range(10):
             pose = avatar.step(walk.positions[k], walk.time[k] + shift)
             assert np.isfinite(pose.positions).all()
     away = np.linalg.norm(pose.positions - walk.positions[9], axis=1)
     assert away.max() < 0.4
-
-
-def _empty_for(take: Take, frames: slice) -> Take:
-    positions, state = take.positions.copy(), take.state.copy()
-    positions[frames], state[frames] = np.nan, State.NOT_TRACKED
-    return replace(take, positions=positions, state=state)
-
-
-@pytest.mark.parametrize(
-    ("empty", "left_out"),
-    [(slice(10, 20), ""), (slice(10, 31), "1.0 to 3.0"), (slice(31), "0.0 to 3.0")],
-)
-def test_frames_of_a_file_with_nobody_for_long_are_left_out(
-    tmp_path: Path, empty: slice, left_out: str
-) -> None:
-    """As if the sensor had written none: nothing is invented there."""
-    whole = replace(_walk(), time=np.arange(FRAMES) * 0.1)
-    path = tmp_path / "take.csv"
-    write_take_csv(_empty_for(whole, empty), path)
-    recording = read_recording(path)
-    gone = np.zeros(FRAMES, dtype=bool)
-    gone[empty] = bool(left_out)
-    take = recording.take(None)
-    np.testing.assert_allclose(take.time, whole.time[~gone], atol=1e-6)
-    told = [f"nobody in view, left out: {left_out} s"] if left_out else []
-    assert [*recording.notes] == told

@@ -204,7 +204,7 @@ class View:
         names = (path.name.removesuffix(".gz") for path in self.motion)
         suffixes = {Path(name).suffix.lower() for name in names}
         with_take = bool(self.take) and self.take != self.motion
-        # Reading VRMA and FBX as clips says what to give in their place.
+        # VRMA and FBX count as clips, so that the error says what to give instead.
         kinds = (*WHOLE_CLIPS, ".vrma", ".fbx", *(".bvh", ".csv") * with_take)
         return not suffixes.isdisjoint(kinds)
 

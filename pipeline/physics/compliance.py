@@ -40,8 +40,8 @@ _SPREAD = 0.6  # of the softening that reaches the next joint. A guess.
 _GRASP_TIME = 0.3  # s in which the pulls of a lying body recover. A guess.
 _STILL, _LONGEST = 0.5, 4.0  # m/s below which, or s after which, a fallen body rises
 _BENT = np.radians(30.0)  # of elbows and knees of a limp body. A guess.
-# N m/rad, of elbows and knees. Of a few pairs, chosen on twelve falls of one take: on
-# sixteen others, elbows bend backward by 8 degrees at worst on average (59 without).
+# N m/rad, of elbows and knees: of five pairs, chosen on twelve falls. In 16 others,
+# elbows bend backward by 8 degrees at worst, on average (59 without springs).
 _SPRINGS = np.array([30.0, 30.0, 60.0, 60.0])
 _RETURN_RATE = 4.0  # 1/s, of the distance that is left, at the end. A guess.
 
@@ -208,7 +208,7 @@ class LimpJoints:
             model.qpos_spring[joint.qposadr[0] :][:4] = to_mujoco(bend)
 
     def set(self, limp: bool) -> None:
-        """Tighten the springs of a limp body, or loosen those of another."""
+        """Switch the springs on for a limp body, and off for one that is pulled."""
         self._model.jnt_stiffness[self._joints] = limp * _SPRINGS
 
 

@@ -223,8 +223,8 @@ class PulledCharacter:
             gained = to_mujoco(acceleration)
             gained = gained if gives is None else gained + to_mujoco(gives.acceleration)
         self._velocity = velocity
-        carried = gives.recovered if gives else 1.0
-        return self.planner(before, after, gained, dt, carried)
+        share = 1.0 if gives is None else gives.recovered
+        return self.planner(before, after, gained, dt, share)
 
     def begin(self, move: Move, stands: Flags | None) -> None:
         """Apply the forces of a move that do not change during it."""

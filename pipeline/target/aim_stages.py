@@ -1,7 +1,7 @@
 """The stages that orient the segments: limbs, then head and hands.
 
-Relative to the segments before them, these turn slowly and little. So they are smoothed
-there, and more strongly than joints are in the room.
+Relative to the segments they hang on, these turn slowly and little. So they are
+smoothed there, and more strongly than joints are in the room.
 """
 
 from abc import abstractmethod
@@ -25,8 +25,8 @@ from .smooth import smooth
 from .target_stages import posed
 
 _LEAST_WEIGHT = 0.05  # of an unreliable joint; a reliable one has 1
-_BENDS = 1.5  # Hz, cutoff of limbs' bends in whole takes
-_SOON = 3.0  # Hz, cutoff of the same live, and of which feet stand
+_BENDS, _LIVE_BENDS = 1.5, 3.0  # Hz: cutoffs of how limbs bend, in whole takes and live
+_STANCES = 3.0  # Hz: cutoff of whether a foot stands
 _Filter = Callable[[Array, Array], tuple[Array, Array]]
 """Smooths values (..., K, C) by their weights (..., K); returns both smoothed."""
 
@@ -41,7 +41,7 @@ class Orient(Stage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._hinges = Hinges(body)
-        self._bends, self._stands = _Mean(_SOON), _Mean(_SOON)
+        self._bends, self._stands = _Mean(_LIVE_BENDS), _Mean(_STANCES)
 
     def step(self, draft: Draft) -> None:
         """Orient the segments of the next frame."""
@@ -62,7 +62,7 @@ class Orient(Stage):
         bends = np.concatenate([hinges.bends(joints[k], turns[k]) for k in rows])
         bends, _ = _smoothed(time, _BENDS, bends, np.ones(bends.shape[:2]))
         stands = draft.stands[..., None].astype(float)
-        level = _smoothed(time, _SOON, stands, np.ones(stands.shape[:2]))[0][..., 0]
+        level = _smoothed(time, _STANCES, stands, np.ones(stands.shape[:2]))[0][..., 0]
         for k in rows:
             turns[k] = hinges.twisted(joints[k], turns[k], bends[k], level[k])
         draft.rotations = continuous(turns)
