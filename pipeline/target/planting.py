@@ -9,9 +9,11 @@ import numpy as np
 
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.rotations import unit
 from kinefilter.retarget.limbs import smooth_step
 
 from .feet import CLEARANCE, LIFT_TIME, SLIDE_SPEED, ankles_and_toes, flat_height
+from .foot_pitch import flat_angle
 from .possible_postures import (
     hips_yaw,
     standing_direction,
@@ -31,10 +33,7 @@ which drag in 3 % of the frames of simulated walks with hips that are seen too l
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_HEEL_ERROR, _OTHERS_HEEL_ERROR = 0.07, 0.03
-"""How much higher [m] than of a flat foot an ankle is whose heel has left the floor: in
-a Kinect's takes, which err more, and in others. Chosen as ``_BEHIND``."""
-_HEEL_DOWN = 0.01  # m that a heel may rise and still count as down
+_DOWN = 0.01  # m that heel or toes may rise and still count as down
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _BEHIND = 0.05
@@ -56,21 +55,18 @@ def plant_feet(
     positions: Array,
     confidence: Array,
     stands: Flags,
+    pitch: Array,
     body: Body,
-    heels: Flags | None = None,
-    *,
-    by_kinect: bool = True,
 ) -> tuple[Array, Flags]:
-    """Return positions (T, J, 3) with planted feet at rest, and which heels are down.
+    """Return positions (T, J, 3) with planted feet at rest, and what is planted.
 
-    Ankle and toes of a planted foot stay at their weighted median with the sole on the
-    floor, which is at y = 0; the heel rises only where the ankle is higher than errors
-    of the sensor lift it. A stepping foot follows the measurement, moved so that it
-    leaves and arrives where it is planted, and lifted where it is fast. Heels, (T, 2),
-    are down where ``heels`` says so, and elsewhere as measured.
+    Of a planted foot that is flat, ankle and toes stay at their weighted median with
+    the sole on the floor, which is at y = 0; pitch [rad], (T, 2), lifts the heel or the
+    toes. A stepping foot follows the measurement, with that pitch, moved so that it
+    leaves and arrives where it is planted, and lifted where it is fast. Contacts,
+    shape (T, 4), are those of CONTACTS.
     """
-    planted, down = positions.copy(), np.zeros_like(stands)
-    error = _HEEL_ERROR if by_kinect else _OTHERS_HEEL_ERROR
+    planted, contacts = positions.copy(), np.zeros((len(time), 4), dtype=np.bool_)
     yaw = hips_yaw(positions, body.skeleton)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
@@ -79,50 +75,57 @@ def plant_feet(
         if not stances:
             continue
         path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
-        rise = np.maximum(path[:, 0, 1] - flat - error, 0.0)
-        # A leg that the edge of the view cuts off ends higher than a heel can be.
-        most = body.radii[toe] + body.lengths[toe] - flat
-        rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
-        if heels is not None:
-            rise[heels[:, foot]] = 0.0
-        down[:, foot] = still & (rise < _HEEL_DOWN)
+        below = flat_angle(body, toe) - pitch[:, foot]
+        path[:, 1] = path[:, 0] + body.lengths[toe] * _pointing(path, below)
+        touching = np.array([flat, body.radii[toe]]) + _DOWN
         weights, joined = confidence[:, ankle], path.copy()
         upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
         for s in stances:
             hips = yaw[s][upright[s] == 1.0]
-            joined[s] = _resting(path[s], weights[s], rise[s], hips, body, toe)
+            joined[s] = _resting(path[s], weights[s], below[s], hips, body, toe)
+            contacts[s, 2 * foot : 2 * foot + 2] = joined[s][..., 1] < touching
         path = _joined(time, path, joined, stances)
         path[~still] = turned_ahead(path, yaw, upright)[~still]
-        path[:, :, 1] += _lift(time, path[:, 1], body.radii[toe], still)[:, None]
-        path[:, 0, 1] += _lift(time, path[:, 0], flat, still)  # toes up, it drags
+        soles = ((path[:, 0], flat), (path[:, 1], body.radii[toe]))
+        lifts = [_lift(time, part, height, still) for part, height in soles]
+        path[:, :, 1] += np.maximum(*lifts)[:, None]
         firm = np.where(stands[:, [foot, foot]], _FIRM, 1.0)
         planted[:, [ankle, toe]] = smooth(time, path, firm, cutoff=_STEP_CUTOFF)
-    return planted, down
+    return planted, contacts
+
+
+def _pointing(foot: Array, below: Array) -> Array:
+    """Return unit vectors from ankle to toes, (T, 3), for angles below level [rad]."""
+    level = unit((foot[:, 1] - foot[:, 0])[:, [0, 2]])
+    across, down = np.cos(below), np.sin(below)
+    return np.stack([across * level[:, 0], -down, across * level[:, 1]], axis=1)
 
 
 def _resting(
-    path: Array, weights: Array, rise: Array, yaw: Array, body: Body, toe: int
+    path: Array, weights: Array, below: Array, yaw: Array, body: Body, toe: int
 ) -> Array:
     """Return ankle and toe of one stance [m], shape (T, 2, 3).
 
-    The ankle is over its weighted median, and rises [m] (T,) while the toes are on the
-    floor, which is at y = 0. ``yaw`` is where the hips head [rad] in the frames in
-    which the shank is upright.
+    Flat, the ankle is over its weighted median. It rises while the toes are on the
+    floor, which is at y = 0, or the toes rise: they are ``below`` it [rad], (T,).
+    ``yaw`` is where the hips head [rad] in the frames in which the shank is upright.
     """
-    place = [_median(path[:, 0, axis], weights) for axis in (0, 2)]
+    length, flat = body.lengths[toe], flat_angle(body, toe)
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     if len(yaw):
         ahead = standing_direction(ahead, yaw)
-    length, sole, flat = body.lengths[toe], body.radii[toe], flat_height(body, toe)
-    reach = np.sqrt(max(length**2 - (flat - sole) ** 2, 0.0))
-    tip, rest = place + reach * ahead, np.zeros((len(path), 2, 3))
-    rest[:, 1, [0, 2]], rest[:, 1, 1] = tip, sole
-    # The ankle turns about the toes.
-    height = np.minimum(flat + rise, sole + length)
-    back = np.sqrt(np.maximum(length**2 - (height - sole) ** 2, 0.0))
-    rest[:, 0, [0, 2]], rest[:, 0, 1] = tip - back[:, None] * ahead, height
-    return rest
+    fall, reach = length * np.sin(below), length * np.cos(below)
+    # Toes stay in place while the heel is up.
+    forward = np.where(below > flat, length * np.cos(flat) - reach, 0.0)
+    forward = forward[:, None] * ahead
+    place = path[:, 0, [0, 2]] - forward
+    place = np.array([_median(place[:, axis], weights) for axis in range(2)])
+    ankle = np.empty((len(path), 3))
+    ankle[:, 1] = np.maximum(body.radii[toe] + fall, flat_height(body, toe))
+    ankle[:, [0, 2]] = place + forward
+    tip = ankle + np.stack([reach * ahead[0], -fall, reach * ahead[1]], axis=1)
+    return np.stack([ankle, tip], axis=1)
 
 
 def _median(values: Array, weights: Array) -> float:

@@ -19,6 +19,7 @@ from kinefilter.retarget import BoneLengths
 
 from . import feet, floor, planting
 from .possible_postures import even_turns, possible_joints, possible_knees
+from .foot_pitch import foot_pitches
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
 
@@ -271,24 +272,28 @@ class Feet(Stage):
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Hold and lift the feet of a take."""
-        stands, heels = draft.stands, np.zeros_like(draft.stands)
+        time, positions, weights = draft.time, draft.positions, draft.weights
+        stands, contacts = draft.stands, self.given
         if self._feet != "auto":
             stands = np.full_like(stands, self._feet == "always")
-        contacts = self.given
         if contacts is None and self._file is not None:
-            contacts = read_contacts(self._file, draft.time)
+            contacts = read_contacts(self._file, time)
         if contacts is not None:
-            stands, heels = feet.planted_feet(contacts), contacts[:, ::2]
-        time, positions, weights = draft.time, draft.positions, draft.weights
-        planted, down = np.empty_like(positions), np.empty_like(stands)
+            stands = feet.planted_feet(contacts)
+        planted, found = np.empty_like(positions), np.empty((len(time), 4), dtype=bool)
         for k in parts_of(time):
-            frames = time[k], positions[k], weights[k], stands[k]
-            planted[k], down[k] = planting.plant_feet(
-                *frames, draft.body, heels[k], by_kinect=draft.by_kinect
+            frames = time[k], positions[k]
+            pitch = foot_pitches(
+                *frames, stands[k], draft.body, by_kinect=draft.by_kinect
             )
-        draft.positions = planted
-        draft.contacts = np.stack([down, stands], axis=2).reshape(-1, 4)
-        draft.stands = feet.planted_feet(draft.contacts)
+            if contacts is not None:
+                pitch[contacts[k, ::2]] = np.maximum(pitch[contacts[k, ::2]], 0.0)
+                pitch[contacts[k, 1::2]] = np.minimum(pitch[contacts[k, 1::2]], 0.0)
+            planted[k], found[k] = planting.plant_feet(
+                *frames, weights[k], stands[k], pitch, draft.body
+            )
+        draft.positions, draft.contacts = planted, found
+        draft.stands = feet.planted_feet(found)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
         ankles, toes = feet.ankles_and_toes(draft.skeleton)
         least = planting.stepping_weights(planted[:, ankles, 1])

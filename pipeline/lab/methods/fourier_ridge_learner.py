@@ -231,7 +231,7 @@ class FourierRidgeLearner(FourierRidge, Learner):
             others += people_in(simulated, _SIMULATED_WEIGHT, _SIMULATED_MOST)
         if views is not None:
             aside += people_in(views, _VIEW_WEIGHT, _VIEW_MOST)
-            centers = _centers_of(_features_of(aside), _VIEW_CENTERS)
+            centers = centers_of(_features_of(aside), _VIEW_CENTERS)
             self.far_centers_ = _half_precision(centers)
             for person in people_in(training, _FACING_WEIGHT, _FACING_MOST):
                 aside.append(replace(person, offsets=np.zeros_like(person.offsets)))
@@ -245,11 +245,11 @@ class FourierRidgeLearner(FourierRidge, Learner):
         self.bones_ = self._mean_proportions(training).astype(np.float32)
         self.seed_ = np.array(self.seed)
         features = _features_of(recorded + others)
-        self.centers_ = _half_precision(_centers_of(features, _CENTERS))
+        self.centers_ = _half_precision(centers_of(features, _CENTERS))
         # Of recorded people only: the sensor may not show what simulated people do.
         known = _features_of(recorded)
         self.arm_centers_, self.leg_centers_, self.trunk_centers_ = (
-            _half_precision(_centers_of(known[:, part.own], _PART_CENTERS))
+            _half_precision(centers_of(known[:, part.own], _PART_CENTERS))
             for part in parts
         )
         self.people_ = np.array(training.people if people else (), dtype=np.str_)
@@ -328,7 +328,7 @@ def _of_part(
     return replace(person, features=person.features[:, columns], offsets=offsets)
 
 
-def _centers_of(features: Singles, count: int) -> Singles:
+def centers_of(features: Singles, count: int) -> Singles:
     """Return k-means centers of frames, without the centers of only a few frames."""
     from sklearn.cluster import KMeans
 

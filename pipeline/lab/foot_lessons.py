@@ -1,0 +1,130 @@
+"""Learns how steeply feet point from how legs move, in recordings with mocap.
+
+``python -m kinefilter.pipeline.lab.foot_lessons OUT.npz RECORDINGS... --test OTHERS...``
+writes the weights of ``target.foot_pitch``; recordings are pairs files, and mocap in
+BVH, which a virtual Kinect sees. It then prints how far feet are off [degrees] for each
+person: always flat, as Kinect shows them, and as predicted. Others are predicted by
+these weights, people who were learned from by weights learned without them.
+"""
+
+import argparse
+import zlib
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinefilter.characters.arrays import Array, Flags, Singles
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.commands.terminal import out
+from kinefilter.pipeline.correct.posture_features import RandomFeatures
+from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.target.feet import ankles_and_toes
+from kinefilter.pipeline.target.foot_pitch import FootPitch, described, pitch_of
+from kinefilter.pipeline.workers import workers
+from kinefilter.scenes.sensor import SENSORS
+from kinefilter.scenes.sensor.geometry import in_world_frame
+
+from .methods.fourier_ridge_learner import centers_of
+from .simulation import simulate
+
+_EVERY = 4  # use every fourth clip of pairs
+_STILL = 0.15  # m/s: feet with slower ankles are flat, in the median
+# Chosen on s02, s03 and s04 and on CMU's people 02, 06, 07, 10, 16, 29 and 32.
+_FEATURES, _RIDGE, _NARROWNESS = 512, 1.0, 1.0
+_CENTERS = 256
+
+
+class Lesson(NamedTuple):
+    """Feet of a person in N frames, left and right."""
+
+    person: str
+    inputs: Singles  # of the prediction, shape (N, 2, F)
+    pitch: Array  # in mocap [rad], (N, 2): of clips plus an unknown constant, of people
+    shown: Array  # by Kinect [rad], 0 if flat, (N, 2)
+    still: Flags  # whether the ankle rests, (N, 2)
+
+
+def read_lessons(files: Sequence[Path]) -> list[Lesson]:
+    """Return what each person does in recordings, with pitches that are 0 if flat."""
+    with workers() as pool:
+        found = list(chain.from_iterable(pool.map(_lessons_in, files)))
+    lessons = []
+    for person in sorted({lesson.person for lesson in found}):
+        rows = zip(*(one[1:] for one in found if one.person == person), strict=True)
+        inputs, pitch, shown, still = map(np.concatenate, rows)
+        flat = [np.median(pitch[still[:, k], k]) for k in range(2)]
+        lessons.append(Lesson(person, inputs, pitch - flat, shown, still))
+    return lessons
+
+
+def _lessons_in(file: Path) -> list[Lesson]:
+    if file.suffix == ".npz":
+        return [_lesson(p, p.subject, p.truth) for p in read_pairs(file)[::_EVERY]]
+    pair = simulate("basic", str(file), seed=zlib.crc32(file.name.encode()) % 10_000)
+    upright = in_world_frame(pair.truth, SENSORS["v2"])
+    return [_lesson(pair, file.name.partition("_")[0], upright)]
+
+
+def _lesson(pair: PairedTake, person: str, truth: Array) -> Lesson:
+    draft, time = Cleaner().until("floor").whole(pair.take), pair.take.time
+    ankles, toes = ankles_and_toes(draft.skeleton)
+    known = np.isfinite(truth[:, [*ankles, *toes]]).all(axis=(1, 2))
+    pitch, shown = (pitch_of(joints, draft.body) for joints in (truth, draft.positions))
+    speed = np.linalg.norm(np.gradient(truth[:, ankles], time, axis=0), axis=2)
+    inputs = described(time, draft.positions, draft.skeleton)
+    arrays = inputs, pitch, shown, speed < _STILL
+    return Lesson(person, *(array[known] for array in arrays))
+
+
+def learn(lessons: Sequence[Lesson]) -> FootPitch:
+    """Return the prediction that is learned from people."""
+    inputs = np.concatenate([np.concatenate([*one.inputs]) for one in lessons])
+    pitch = np.concatenate([one.pitch.ravel() for one in lessons])
+    # The more frames there are of a person, the less each of them counts.
+    weights = np.concatenate(
+        [np.full(one.pitch.size, one.pitch.size**-0.5) for one in lessons]
+    )
+    mean = inputs.mean(axis=0)
+    scale = np.sqrt(_NARROWNESS / len(mean)) / inputs.std(axis=0)
+    features = RandomFeatures(mean, _FEATURES, 0, scale)(inputs).astype(float)
+    weighted = features * (weights / weights.mean())[:, None]
+    gram = weighted.T @ features + _RIDGE * np.eye(features.shape[1])
+    centers = centers_of((inputs - mean) * scale, _CENTERS) / scale + mean
+    found = np.linalg.solve(gram, weighted.T @ pitch)
+    return FootPitch(*(a.astype(np.float32) for a in (mean, scale, found, centers)))
+
+
+def errors(pitch: FootPitch, one: Lesson) -> list[float]:
+    """Return how far flat, shown and predicted feet are off, in the mean [degrees]."""
+    predicted, familiar = pitch.predicted(one.inputs)
+    mixed = one.shown + familiar * (predicted - one.shown)
+    return [
+        float(np.degrees(np.abs(guess - one.pitch).mean()))
+        for guess in (0.0, one.shown, mixed)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--test", type=Path, nargs="*", default=[])
+    chosen = parser.parse_args()
+    lessons = read_lessons(chosen.files)
+    pitch = learn(lessons)
+    write_arrays(chosen.out, pitch.arrays())
+    out.print("person, frames, always flat, as shown, as predicted")
+    tested = [(pitch, one) for one in read_lessons(chosen.test)]
+    for one in lessons:
+        tested.append((learn([other for other in lessons if other is not one]), one))
+    for model, one in tested:
+        values = (f"{value:5.1f}" for value in errors(model, one))
+        out.print(f"{one.person:4s} {len(one.pitch):6d}", *values)
+
+
+if __name__ == "__main__":
+    main()
