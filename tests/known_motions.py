@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinefilter.characters import (
     KINECT_V1,
     KINECT_V2,
+    Body,
     Motion,
     Skeleton,
     State,
@@ -16,6 +17,8 @@ from kinefilter.characters import (
 )
 from kinefilter.pipeline.physics import PhysicsResult, Targets, pull_through
 from kinefilter.pipeline.physics.pulled_character import PulledCharacter
+from kinefilter.pipeline.target.foot_pitch import pitch_of
+from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.retarget import find_yaw
 from kinefilter.scenes.library import perform, random_body
 
@@ -25,6 +28,7 @@ __all__ = [
     "Array",
     "noisy",
     "performed",
+    "plant",
     "polynomial",
     "pulled_through",
     "stamps",
@@ -33,6 +37,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 BODY = standard_body(KINECT_V1)
 FEET = [KINECT_V1.index(f"Foot{side}") for side in ("Left", "Right")]
 
@@ -76,3 +81,12 @@ def performed(motion: str, skeleton: Skeleton = KINECT_V2, seed: int = 0) -> Tak
 def yaw_of(take: Take) -> Array:
     """Return the heading of the trunk [rad], (T,)."""
     return find_yaw(take.positions, take.skeleton)
+
+
+def plant(
+    time: Array, path: Array, weights: Array, stands: Flags, body: Body
+) -> tuple[Array, Flags]:
+    """Return ``plant_feet`` and which heels are down, for feet that stand flat."""
+    pitch = np.where(stands, 0.0, pitch_of(path, body))
+    found, contacts = plant_feet(time, path, weights, stands, pitch, body)
+    return found, contacts[:, ::2]

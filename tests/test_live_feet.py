@@ -35,7 +35,7 @@ def test_a_foot_is_lifted_while_it_steps_and_only_then() -> None:
     up = []
     for frame in toes:
         tracker.step(np.add(frame, [0.0, 0.05, 0.0]), 0.08, 1.0 / 30.0)
-        up.append(tracker.lift(frame, np.full(2, sole), 1.0 / 30.0))
+        up.append(tracker.lift(frame, frame[:, 1] - sole, 1.0 / 30.0))
     lifted = np.array(up)
     assert not lifted[:30].any()
     assert lifted[:, 0].max() == pytest.approx(feet.CLEARANCE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_motions import noisy, stamps, standing
+from known_motions import noisy, plant, stamps, standing
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
@@ -22,6 +22,7 @@ from kinefilter.pipeline.target.feet import (
     find_stance,
     flat_height,
 )
+from kinefilter.pipeline.target.foot_pitch import pitch_of
 from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.scenes.library import perform
 
@@ -55,7 +56,7 @@ def test_feet_that_stand_do_not_move_and_their_soles_are_on_the_floor(
     motion: str, fps: float
 ) -> None:
     time, path, stands = found(motion, fps=fps)
-    planted, heels = plant_feet(time, path, ones(path), stands, BODY)
+    planted, heels = plant(time, path, ones(path), stands, BODY)
     assert stands.any()
     for foot, (ankle, toe) in enumerate(zip(ANKLES, TOES, strict=True)):
         for stance in runs(stands[:, foot]):
@@ -69,7 +70,7 @@ def test_feet_that_stand_do_not_move_and_their_soles_are_on_the_floor(
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_standing_feet_are_as_long_as_they_are(motion: str) -> None:
     time, path, stands = found(motion, seed=1)
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
     for foot, (ankle, toe) in enumerate(zip(ANKLES, TOES, strict=True)):
         feet = planted[stands[:, foot]]
         lengths = np.linalg.norm(feet[:, toe] - feet[:, ankle], axis=1)
@@ -80,7 +81,7 @@ def test_standing_feet_are_as_long_as_they_are(motion: str) -> None:
 def test_who_stands_at_ease_is_left_where_they_are(skeleton: Skeleton) -> None:
     path, stands = standing(40, skeleton), np.ones((40, 2), dtype=np.bool_)
     body = standard_body(skeleton)
-    planted, heels = plant_feet(stamps(40), path, ones(path), stands, body)
+    planted, heels = plant(stamps(40), path, ones(path), stands, body)
     np.testing.assert_allclose(planted, path, atol=1e-6)
     assert heels.all()
 
@@ -95,35 +96,38 @@ def test_a_foot_stands_at_the_weighted_median_of_its_ankle() -> None:
     path[30:55, [ANKLES[0], TOES[0]], 0] += 5.0  # in a place nobody measured
     confidence[30:55] = 0.0
     stands = np.ones((60, 2), dtype=np.bool_)
-    planted, _ = plant_feet(stamps(60), path, confidence, stands, BODY)
+    planted, _ = plant(stamps(60), path, confidence, stands, BODY)
     assert planted[0, ANKLES[0], 0] == pytest.approx(median, abs=0.006)
     assert planted[0, ANKLES[0], 2] == pytest.approx(place[1], abs=1e-6)
 
 
-def test_a_heel_rises_where_the_ankle_is_far_higher_than_the_sensor_errs() -> None:
-    time, path = stamps(90), standing(90)
-    rise = 0.12 * np.sin(np.pi * np.clip((time - 1.0) / 1.0, 0.0, 1.0)) ** 2
-    path[:, ANKLES[0], 1] += rise
-    path[:, ANKLES[1], 1] += 0.5 * rise
-    stands = np.ones((90, 2), dtype=np.bool_)
-    planted, heels = plant_feet(time, path, ones(path), stands, BODY)
-    assert heels[:, 1].all()
-    assert heels[:25, 0].all()
-    assert heels[65:, 0].all()
-    assert not heels[45, 0]
-    top = planted[:, ANKLES[0], 1].max() - planted[0, ANKLES[0], 1]
-    assert top == pytest.approx(0.12 - planting._HEEL_ERROR, abs=2e-3)
-    frames = time, path, ones(path), stands, BODY
-    other, _ = plant_feet(*frames, by_kinect=False)
-    higher = (other - planted)[:, ANKLES[0], 1].max()
-    less = planting._HEEL_ERROR - planting._OTHERS_HEEL_ERROR
-    assert higher == pytest.approx(less, abs=5e-3)
-    turning = np.linalg.norm(planted[:, ANKLES[0]] - planted[:, TOES[0]], axis=1)
-    np.testing.assert_allclose(turning, BODY.lengths[TOES[0]], atol=STILL)
-    down = np.ones((90, 2), dtype=np.bool_)
-    flat, heels = plant_feet(time, path, ones(path), stands, BODY, down)
-    assert heels.all()
-    assert np.ptp(flat[:, ANKLES], axis=0).max() < STILL
+@pytest.mark.parametrize("up", [np.radians(40.0), np.radians(-40.0)])
+def test_a_pitched_foot_stands_on_its_heel_or_on_its_toes(up: float) -> None:
+    path, stands = standing(90), np.ones((90, 2), dtype=np.bool_)
+    pitch = np.zeros((90, 2))
+    pitch[:, 0] = up * np.sin(np.linspace(0.0, np.pi, 90)) ** 2
+    planted, contacts = plant_feet(stamps(90), path, ones(path), stands, pitch, BODY)
+    np.testing.assert_allclose(pitch_of(planted, BODY), pitch, atol=2e-3)
+    heels, toes = contacts[:, 0], contacts[:, 1]
+    rests, turns = (ANKLES[0], TOES[0]) if up > 0.0 else (TOES[0], ANKLES[0])
+    assert np.ptp(planted[:, rests], axis=0).max() < STILL
+    assert np.ptp(planted[:, turns, 1]) > 0.05
+    assert (heels if up > 0.0 else toes).all()
+    assert not (toes if up > 0.0 else heels)[30:60].any()
+    assert contacts[:, 2:].all()
+    lengths = np.linalg.norm(planted[:, ANKLES[0]] - planted[:, TOES[0]], axis=1)
+    np.testing.assert_allclose(lengths, BODY.lengths[TOES[0]], atol=STILL)
+
+
+def test_toes_stand_at_the_median_of_where_they_are_while_the_heel_rises() -> None:
+    path, stands = standing(60), np.ones((60, 2), dtype=np.bool_)
+    up, none = np.full((60, 2), np.radians(-30.0)), np.zeros((60, 2))
+    raised, _ = plant_feet(stamps(60), path, ones(path), stands, up, BODY)
+    np.testing.assert_allclose(
+        plant_feet(stamps(60), raised, ones(path), stands, up, BODY)[0], raised
+    )
+    flat, _ = plant_feet(stamps(60), raised, ones(path), stands, none, BODY)
+    assert np.ptp(flat[:, ANKLES], axis=0)[:, 1].max() < STILL
 
 
 # Feet that step
@@ -132,7 +136,7 @@ def test_a_heel_rises_where_the_ankle_is_far_higher_than_the_sensor_errs() -> No
 @pytest.mark.parametrize("motion", ["walk", "march", "kick", "step_over"])
 def test_steps_start_and_end_where_the_foot_stands(motion: str) -> None:
     time, path, stands = found(motion, seed=2)
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
     for foot, toe in enumerate(TOES):
         for stance in runs(stands[:, foot]):
             for inside, outside in (
@@ -147,7 +151,7 @@ def test_steps_start_and_end_where_the_foot_stands(motion: str) -> None:
 @pytest.mark.parametrize("motion", ["walk", "march", "kick"])
 def test_steps_are_no_quicker_than_the_measured_ones_by_much(motion: str) -> None:
     time, path, stands = found(motion, seed=3)
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
     raw, quick = (
         np.linalg.norm(np.diff(p[:, TOES], axis=0), axis=2).max()
         for p in (path, planted)
@@ -193,7 +197,7 @@ def test_a_foot_that_was_dragged_is_lifted_on_its_way_and_only_there(
     path[50:71, TOES[0], 1] += raised
     stands = np.ones((120, 2), dtype=np.bool_)
     stands[45:75, 0] = False
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
     soles = planted[:, TOES, 1] - BODY.radii[TOES]
     heels = planted[:, ANKLES[0], 1] - flat_height(BODY, TOES[0])
     assert min(soles[55:66, 0].min(), heels[55:66].min()) > 0.06
@@ -208,7 +212,7 @@ def test_a_foot_that_is_high_enough_is_not_lifted_further() -> None:
     path[:, [ANKLES[0], TOES[0]], 1] += (0.2 * np.sin(np.pi * share))[:, None]
     stands = np.ones((120, 2), dtype=np.bool_)
     stands[44:77, 0] = False
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
     np.testing.assert_allclose(planted[55:66, FEET], path[55:66, FEET], atol=0.01)
 
 
@@ -220,9 +224,9 @@ def test_a_step_over_dropped_frames_is_where_the_whole_one_is() -> None:
     path[78:, [ANKLES[0], TOES[0]], 0] += 0.06  # the foot drifts where it stands
     stands = np.ones((120, 2), dtype=np.bool_)
     stands[42:78, 0] = False
-    whole, _ = plant_feet(time, path, ones(path), stands, BODY)
+    whole, _ = plant(time, path, ones(path), stands, BODY)
     kept = np.setdiff1d(np.arange(120), [46, 47, 48, 49, 50, 51])
-    short, _ = plant_feet(time[kept], path[kept], ones(path[kept]), stands[kept], BODY)
+    short, _ = plant(time[kept], path[kept], ones(path[kept]), stands[kept], BODY)
     np.testing.assert_allclose(
         short[:, TOES[0], [0, 2]], whole[kept][:, TOES[0]][:, [0, 2]], atol=8e-3
     )
@@ -235,7 +239,7 @@ def test_a_step_over_dropped_frames_is_where_the_whole_one_is() -> None:
 def test_feet_that_never_stand_follow_the_measurement(motion: str) -> None:
     time, path, stands = found(motion)
     nowhere = np.zeros_like(stands)
-    planted, heels = plant_feet(time, path, ones(path), nowhere, BODY)
+    planted, heels = plant(time, path, ones(path), nowhere, BODY)
     np.testing.assert_array_equal(planted, path)
     assert not heels.any()
 
@@ -243,9 +247,7 @@ def test_feet_that_never_stand_follow_the_measurement(motion: str) -> None:
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_feet_that_always_stand_never_move(motion: str) -> None:
     time, path, stands = found(motion)
-    planted, _ = plant_feet(
-        time, path, ones(path), np.ones_like(stands), BODY, np.ones_like(stands)
-    )
+    planted, _ = plant(time, path, ones(path), np.ones_like(stands), BODY)
     assert np.ptp(planted[:, FEET], axis=0).max() < STILL
 
 
@@ -253,7 +255,7 @@ def test_feet_that_always_stand_never_move(motion: str) -> None:
 def test_only_feet_are_moved_and_each_by_itself(motion: str) -> None:
     time, path, stands = found(motion)
     stands[:, 1] = False
-    planted, heels = plant_feet(time, path, ones(path), stands, BODY)
+    planted, heels = plant(time, path, ones(path), stands, BODY)
     others = np.setdiff1d(np.arange(20), [ANKLES[0], TOES[0]])
     np.testing.assert_array_equal(planted[:, others], path[:, others])
     assert not np.array_equal(planted, path)
@@ -263,12 +265,10 @@ def test_only_feet_are_moved_and_each_by_itself(motion: str) -> None:
 
 def test_arguments_are_not_modified() -> None:
     time, path, stands = found("walk")
-    confidence, heels = ones(path), stands.copy()
-    before = [np.copy(a) for a in (time, path, confidence, stands, heels)]
-    plant_feet(time, path, confidence, stands, BODY, heels)
-    for array, copy in zip(
-        (time, path, confidence, stands, heels), before, strict=True
-    ):
+    arrays = time, path, ones(path), stands, pitch_of(path, BODY)
+    before = [np.copy(array) for array in arrays]
+    plant_feet(*arrays, BODY)
+    for array, copy in zip(arrays, before, strict=True):
         np.testing.assert_array_equal(array, copy)
 
 
@@ -286,9 +286,9 @@ def test_planting_follows_the_body_wherever_and_whenever_it_is(
     motion: str, x: float, z: float, hours: float
 ) -> None:
     time, path, stands = found(motion)
-    planted, heels = plant_feet(time, path, ones(path), stands, BODY)
+    planted, heels = plant(time, path, ones(path), stands, BODY)
     away, later = np.array([x, 0.0, z]), time + 3600.0 * hours
-    moved, same = plant_feet(later, path + away, ones(path), stands, BODY)
+    moved, same = plant(later, path + away, ones(path), stands, BODY)
     np.testing.assert_allclose(moved, planted + away, atol=1e-6)
     np.testing.assert_array_equal(same, heels)
 
@@ -296,9 +296,9 @@ def test_planting_follows_the_body_wherever_and_whenever_it_is(
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_left_and_right_are_treated_alike(motion: str) -> None:
     time, path, stands = found(motion)
-    planted, heels = plant_feet(time, path, ones(path), stands, BODY)
+    planted, heels = plant(time, path, ones(path), stands, BODY)
     mirror = KINECT_V1.mirror
-    mirrored, same = plant_feet(
+    mirrored, same = plant(
         time,
         path[:, mirror] * [-1.0, 1.0, 1.0],
         ones(path),
@@ -315,15 +315,15 @@ def test_left_and_right_are_treated_alike(motion: str) -> None:
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_planting_turns_with_the_body(motion: str, yaw: float) -> None:
     time, path, stands = found(motion)
-    planted, _ = plant_feet(time, path, ones(path), stands, BODY)
-    turned, _ = plant_feet(time, rotate(about_y(yaw), path), ones(path), stands, BODY)
+    planted, _ = plant(time, path, ones(path), stands, BODY)
+    turned, _ = plant(time, rotate(about_y(yaw), path), ones(path), stands, BODY)
     # The median of a cloud of noise, axis by axis, does not turn exactly, and what is
     # only just quick enough to be lifted may not be then.
     away = turned - rotate(about_y(yaw), planted)
     assert np.linalg.norm(away[..., [0, 2]], axis=2).max() < 0.02
     standing_feet = np.concatenate([stands, stands], axis=1)
     assert np.linalg.norm(away[:, FEET], axis=2)[standing_feet].max() < 0.012
-    quarter, _ = plant_feet(
+    quarter, _ = plant(
         time, path[..., [2, 1, 0]] * [1.0, 1.0, -1.0], ones(path), stands, BODY
     )
     np.testing.assert_allclose(
@@ -340,7 +340,7 @@ def test_a_few_frames_are_planted_without_a_warning(frames: int, stands: bool) -
     path, flags = standing(frames), np.full((frames, 2), stands)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        planted, heels = plant_feet(stamps(frames), path, ones(path), flags, BODY)
+        planted, heels = plant(stamps(frames), path, ones(path), flags, BODY)
     np.testing.assert_allclose(planted, path, atol=1e-9)
     assert (heels == stands).all()
 
@@ -353,7 +353,7 @@ def test_any_stances_of_any_motion_give_numbers(seed: int, frames: int) -> None:
     path = standing(frames) + rng.normal(0.0, 0.3, (frames, 20, 3))
     stands = rng.random((frames, 2)) < rng.random()
     confidence = (rng.random((frames, 20)) < 0.7).astype(float)
-    planted, heels = plant_feet(time, path, confidence, stands, BODY)
+    planted, heels = plant(time, path, confidence, stands, BODY)
     assert np.isfinite(planted).all()
     assert not (heels & ~stands).any()
 
@@ -362,7 +362,7 @@ def test_toes_right_under_the_ankle_still_stand() -> None:
     path = standing(20)
     path[:, TOES[0], [0, 2]] = path[:, ANKLES[0], [0, 2]]
     stands = np.ones((20, 2), dtype=np.bool_)
-    planted, _ = plant_feet(stamps(20), path, ones(path), stands, BODY)
+    planted, _ = plant(stamps(20), path, ones(path), stands, BODY)
     assert np.isfinite(planted).all()
     np.testing.assert_allclose(planted[:, TOES[0], 1], BODY.radii[TOES[0]], atol=STILL)
 
@@ -372,7 +372,7 @@ def test_sides_are_in_the_order_of_the_flags() -> None:
     path, stands = standing(30), np.zeros((30, 2), dtype=np.bool_)
     path[:, FEET, 0] += np.random.default_rng(0).normal(0.0, 0.01, (30, 1))
     stands[:, 1] = True
-    planted, _ = plant_feet(stamps(30), path, ones(path), stands, BODY)
+    planted, _ = plant(stamps(30), path, ones(path), stands, BODY)
     right = KINECT_V1.index("AnkleRight")
     assert np.ptp(planted[:, right, 0]) < STILL
     assert np.ptp(planted[:, KINECT_V1.index("AnkleLeft"), 0]) > 0.02

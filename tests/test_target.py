@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known_motions import noisy
+from known_motions import noisy, plant
 from numpy.typing import NDArray
 from skeletons import every_skeleton
 
@@ -34,7 +34,6 @@ from kinefilter.pipeline.target.feet import (
     flat_height,
     planted_feet,
 )
-from kinefilter.pipeline.target.planting import plant_feet
 from kinefilter.pipeline.target.target_stages import (
     Bones,
     Feet,
@@ -266,7 +265,7 @@ def test_feet_step_where_somebody_turns_on_the_spot(seed: int) -> None:
     confidence = np.ones(act.positions.shape[:2])
     stands = find_stance(act.time, act.positions, confidence, KINECT_V1)
     seen = act.time, act.positions, confidence, stands
-    planted, _ = plant_feet(*seen, BODY)
+    planted, _ = plant(*seen, BODY)
     yaws = []
     for positions in (planted, act.positions):
         across, _, ahead = np.moveaxis(positions[:, TOES] - positions[:, ANKLES], 2, 0)

@@ -1,13 +1,12 @@
 """Learns how steeply feet point from how legs move, in recordings with mocap.
 
-``python -m kinefilter.pipeline.lab.foot_lessons OUT.npz RECORDINGS... --test OTHERS...``
-writes the weights of ``target.foot_pitch``; recordings are pairs files, and mocap in
-BVH, which a virtual Kinect sees. It then prints how far feet are off [degrees] for each
-person: always flat, as Kinect shows them, and as predicted. Others are predicted by
-these weights, people who were learned from by weights learned without them.
+``python -m kinefilter.pipeline.lab.foot_lessons OUT.npz RECORDINGS...`` writes the
+weights of ``target.foot_pitch``; recordings are pairs files, and mocap in BVH, which a
+virtual Kinect sees. It then prints how far feet are off [degrees] for each person, with
+weights learned from the others: always flat, as Kinect shows them, and as predicted.
 """
 
-import argparse
+import sys
 import zlib
 from collections.abc import Sequence
 from itertools import chain
@@ -23,7 +22,12 @@ from kinefilter.pipeline.correct.posture_features import RandomFeatures
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.target.feet import ankles_and_toes
-from kinefilter.pipeline.target.foot_pitch import FootPitch, described, pitch_of
+from kinefilter.pipeline.target.foot_pitch import (
+    FootPitch,
+    described,
+    legs_of,
+    pitch_of,
+)
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.sensor import SENSORS
 from kinefilter.scenes.sensor.geometry import in_world_frame
@@ -43,19 +47,20 @@ class Lesson(NamedTuple):
 
     person: str
     inputs: Singles  # of the prediction, shape (N, 2, F)
-    pitch: Array  # in mocap [rad], (N, 2): of clips plus an unknown constant, of people
-    shown: Array  # by Kinect [rad], 0 if flat, (N, 2)
+    pitch: Array  # in mocap [rad], (N, 2)
+    shown: Array  # by Kinect [rad], (N, 2)
     still: Flags  # whether the ankle rests, (N, 2)
 
 
 def read_lessons(files: Sequence[Path]) -> list[Lesson]:
-    """Return what each person does in recordings, with pitches that are 0 if flat."""
+    """Return what each person does in recordings."""
     with workers() as pool:
         found = list(chain.from_iterable(pool.map(_lessons_in, files)))
     lessons = []
     for person in sorted({lesson.person for lesson in found}):
         rows = zip(*(one[1:] for one in found if one.person == person), strict=True)
         inputs, pitch, shown, still = map(np.concatenate, rows)
+        # Where the markers of toes are on a person's feet is not known.
         flat = [np.median(pitch[still[:, k], k]) for k in range(2)]
         lessons.append(Lesson(person, inputs, pitch - flat, shown, still))
     return lessons
@@ -75,56 +80,47 @@ def _lesson(pair: PairedTake, person: str, truth: Array) -> Lesson:
     known = np.isfinite(truth[:, [*ankles, *toes]]).all(axis=(1, 2))
     pitch, shown = (pitch_of(joints, draft.body) for joints in (truth, draft.positions))
     speed = np.linalg.norm(np.gradient(truth[:, ankles], time, axis=0), axis=2)
-    inputs = described(time, draft.positions, draft.skeleton)
-    arrays = inputs, pitch, shown, speed < _STILL
-    return Lesson(person, *(array[known] for array in arrays))
+    legs = legs_of(draft.positions, draft.skeleton)
+    inputs, still = described(time, legs, time), speed < _STILL
+    return Lesson(person, inputs[known], pitch[known], shown[known], still[known])
 
 
 def learn(lessons: Sequence[Lesson]) -> FootPitch:
     """Return the prediction that is learned from people."""
-    inputs = np.concatenate([np.concatenate([*one.inputs]) for one in lessons])
+    inputs = np.concatenate([one.inputs for one in lessons])
+    inputs = inputs.reshape(-1, inputs.shape[2])
     pitch = np.concatenate([one.pitch.ravel() for one in lessons])
     # The more frames there are of a person, the less each of them counts.
-    weights = np.concatenate(
-        [np.full(one.pitch.size, one.pitch.size**-0.5) for one in lessons]
-    )
+    sizes = np.array([one.pitch.size for one in lessons])
+    weights = np.repeat(sizes**-0.5, sizes)
     mean = inputs.mean(axis=0)
     scale = np.sqrt(_NARROWNESS / len(mean)) / inputs.std(axis=0)
-    features = RandomFeatures(mean, _FEATURES, 0, scale)(inputs).astype(float)
+    inputs, zeros = (inputs - mean) * scale, np.zeros_like(mean)
+    features = RandomFeatures(zeros, _FEATURES, 0, zeros + 1)(inputs).astype(float)
     weighted = features * (weights / weights.mean())[:, None]
     gram = weighted.T @ features + _RIDGE * np.eye(features.shape[1])
-    centers = centers_of((inputs - mean) * scale, _CENTERS) / scale + mean
     found = np.linalg.solve(gram, weighted.T @ pitch)
-    return FootPitch(*(a.astype(np.float32) for a in (mean, scale, found, centers)))
+    arrays = mean, scale, found, centers_of(inputs, _CENTERS)
+    return FootPitch(*(array.astype(np.float32) for array in arrays))
 
 
-def errors(pitch: FootPitch, one: Lesson) -> list[float]:
-    """Return how far flat, shown and predicted feet are off, in the mean [degrees]."""
-    predicted, familiar = pitch.predicted(one.inputs)
-    mixed = one.shown + familiar * (predicted - one.shown)
-    return [
-        float(np.degrees(np.abs(guess - one.pitch).mean()))
-        for guess in (0.0, one.shown, mixed)
-    ]
+def errors(predict: FootPitch, one: Lesson) -> list[float]:
+    """Return how far feet are off [degrees]: always flat, as shown, and predicted."""
+    pitch, familiar = predict(one.inputs)
+    guesses = 0.0 * pitch, one.shown, one.shown + familiar * (pitch - one.shown)
+    return [float(np.degrees(np.abs(guess - one.pitch).mean())) for guess in guesses]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--test", type=Path, nargs="*", default=[])
-    chosen = parser.parse_args()
-    lessons = read_lessons(chosen.files)
-    pitch = learn(lessons)
-    write_arrays(chosen.out, pitch.arrays())
-    out.print("person, frames, always flat, as shown, as predicted")
-    tested = [(pitch, one) for one in read_lessons(chosen.test)]
+def main(file: Path, recordings: Sequence[str]) -> None:
+    """Learn from recordings, write the weights, and print ``errors`` of each person."""
+    lessons = read_lessons([Path(recording) for recording in recordings])
+    write_arrays(file, learn(lessons).arrays())
+    out.print("person, frames, always flat, as shown, predicted")
     for one in lessons:
-        tested.append((learn([other for other in lessons if other is not one]), one))
-    for model, one in tested:
-        values = (f"{value:5.1f}" for value in errors(model, one))
+        predict = learn([other for other in lessons if other is not one])
+        values = (f"{value:5.1f}" for value in errors(predict, one))
         out.print(f"{one.person:4s} {len(one.pitch):6d}", *values)
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -180,18 +180,18 @@ class StanceTracker:
         self._stands = self._stands & ~feet
         return self._stands
 
-    def lift(self, toes: Array, soles: Array, dt: float) -> Array:
+    def lift(self, toes: Array, heights: Array, dt: float) -> Array:
         """Return by how much to lift each foot [m] so that none slides, shape (2,).
 
-        To be called after ``step``. Toe positions [m], shape (2, 3), have the floor at
-        y = 0; ``soles`` is the height of toes that rest on it [m], shape (2,).
+        To be called after ``step`` with the positions of the toes [m], shape (2, 3),
+        and the heights of the soles above the floor, shape (2,).
         """
         speed = np.linalg.norm((toes - self._toes)[:, [0, 2]], axis=1) / dt
         self._toes = toes.copy()
         most = CLEARANCE / LIFT_TIME * dt
         needed = np.where(~self._stands & (speed > SLIDE_SPEED), CLEARANCE, 0.0)
         self._lifted = self._lifted + (needed - self._lifted).clip(-most, most)
-        above = np.where(self._stands, 0.0, toes[:, 1] - soles)
+        above = np.where(self._stands, 0.0, heights)
         return np.maximum(self._lifted - above, 0.0)
 
 

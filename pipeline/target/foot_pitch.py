@@ -1,10 +1,13 @@
 """How steeply feet point, predicted from how the legs move.
 
-Kinect hardly shows it: its toes are 14 to 16 degrees off in walks, where a foot that is
-always flat is 15 to 19 degrees off. Thighs and shanks, which it shows well, tell when a
-heel rises, when toes clear the floor, and when a heel strikes. The weights are those of
-a kernel ridge regression (``pipeline.lab.foot_lessons``) on thighs, shanks and heights
-of the ankles of both legs up to 0.3 s before and after.
+Kinect hardly shows it: in walks its toes point 15 degrees off, hardly less than those
+of feet that are always flat. Thighs and shanks, which it shows well, tell when a heel
+rises, when toes clear the floor, and when a heel strikes. The weights are those of a
+kernel ridge regression (``pipeline.lab.foot_lessons``) on thighs, shanks and heights of
+the ankles of both legs in the last 0.3 s: later frames hardly help.
+
+Pitches are angles [rad] of feet, left and right, toes up, 0 if flat. Joint positions
+[m], (T, J, 3), have the floor at y = 0.
 """
 
 from __future__ import annotations
@@ -23,132 +26,169 @@ from kinefilter.pipeline.correct.posture_features import (
     values_at,
 )
 from kinefilter.pipeline.formats.npz import read_arrays
-from kinefilter.retarget import HeadingFrame
 
 from .feet import ankles_and_toes, flat_height
-from .possible_postures import hips_yaw
 
-_AROUND = np.arange(-3, 4) * 0.1  # s: the frames that describe the motion
+_BEFORE = np.array([0.3, 0.2, 0.1, 0.0])  # s: the frames that describe the motion
 _HEIGHT = 3.0  # weight of an ankle's height [m], against 1 for components of directions
-_CHUNK = 512  # frames at a time
-# rad of a foot on the floor that are due to errors, and that are not at all. Chosen on
-# s02, s03 and s04 and CMU's people 02, 06, 07, 10, 16, 29 and 32.
-_FLAT, _CLEAR = np.radians([5.0, 15.0])
-_HEEL_ERROR, _OTHERS_HEEL_ERROR = 0.07, 0.03
-"""How much higher [m] than of a flat foot an ankle is whose heel has left the floor: in
-a Kinect's takes, which err more, and in others. Chosen on walks of people 02, 05, 07,
-16 and 29 of CMU and on every fourth recorded take."""
-_ARRAYS = ("mean", "scale", "weights", "centers")
-# Similarity to the training data at which none, and all, of the prediction counts.
+_CHUNK = 512  # rows of inputs at a time
+# Similarity to the training data at which none, and all, of the prediction counts, and
+# pitches [rad] of planted feet that are due to errors, and that are not at all: as
+# predicted, and as shown. Chosen on s02, s03 and s04 and CMU's people 02, 06, 07, 10,
+# 16, 29 and 32.
 _STRANGE, _FAMILIAR = 0.7, 0.85
+_FLAT, _SHOWN_FLAT = np.radians([10.0, 20.0]), np.radians([5.0, 15.0])
+_HEEL_ERROR = 0.07
+"""How much higher [m] than of a flat foot an ankle is whose heel has left the floor.
+Chosen on walks of people 02, 05, 07, 16 and 29 of CMU and on every fourth recorded
+take."""
+_UP = 1.2  # rad that toes point up at most
 
 
 class FootPitch:
-    """Predicts the pitch of feet; the arrays are those that ``arrays`` returns."""
+    """Predicts pitches; the arrays are those that ``arrays`` returns.
 
-    def __init__(
-        self, mean: Singles, scale: Singles, weights: Singles, centers: Singles
-    ) -> None:
-        self._mean, self._scale = mean, scale
-        self._weights, self._centers = weights, centers
-        self._features = RandomFeatures(mean, len(weights) - len(mean), 0, scale)
-        self._scaled = (centers - mean) * scale
-        self._squares = np.vecdot(self._scaled, self._scaled)
+    They are the mean and the weights of the inputs, shape (F,), the weights of their
+    random features, (N,), and centers of the weighted inputs in the training data.
+    """
+
+    NAMES = ("mean", "scale", "weights", "centers")
+
+    def __init__(self, *arrays: Singles) -> None:
+        self._mean, self._scale, self._weights, self._centers = arrays
+        zeros, count = np.zeros_like(self._mean), len(self._weights) - len(self._mean)
+        self._features = RandomFeatures(zeros, count, 0, zeros + 1)
+        self._squares = np.vecdot(self._centers, self._centers)
+
+    @classmethod
+    def load(cls, path: Path) -> FootPitch:
+        """Read a file of ``arrays``."""
+        arrays = read_arrays(path, "weights of feet")
+        return cls(*(arrays[name].astype(np.float32) for name in cls.NAMES))
 
     def arrays(self) -> dict[str, Singles]:
-        """Return what the prediction consists of, for a file."""
+        """Return the arrays by name."""
         arrays = self._mean, self._scale, self._weights, self._centers
-        return dict(zip(_ARRAYS, arrays, strict=True))
+        return dict(zip(self.NAMES, arrays, strict=True))
 
-    def __call__(
-        self, time: Array, positions: Array, skeleton: Skeleton
-    ) -> tuple[Array, Array]:
-        """Return pitch [rad], toes up, 0 if flat, and how familiar it is, (T, 2).
+    def __call__(self, inputs: Singles) -> tuple[Array, Array]:
+        """Return pitches, and how familiar the motion is, in [0, 1], both (N, 2).
 
-        Joint positions [m], (T, J, 3), have the floor at y = 0. Columns are left and
-        right; familiarity is in [0, 1].
+        Inputs, (N, 2, F), are those that ``described`` returns.
         """
-        return self.predicted(described(time, positions, skeleton))
-
-    def predicted(self, inputs: Singles) -> tuple[Array, Array]:
-        """Return the same for inputs that are ``described``, shape (T, 2, F)."""
-        pitch, near = np.empty((2, *inputs.shape[:2]))
-        for k in chunks(len(inputs), _CHUNK):
-            for foot in range(2):
-                rows = inputs[k, foot]
-                pitch[k, foot] = self._features(rows) @ self._weights
-                scaled = (rows - self._mean) * self._scale
-                near[k, foot] = similarity_to(scaled, self._scaled, self._squares)
-        return pitch, ((near - _STRANGE) / (_FAMILIAR - _STRANGE)).clip(0.0, 1.0)
-
-
-def described(time: Array, positions: Array, skeleton: Skeleton) -> Singles:
-    """Return the inputs of the prediction for the left and the right foot, (T, 2, F)."""
-    yaw = hips_yaw(positions, skeleton)
-    joints = HeadingFrame(np.zeros_like(positions[:, 0]), yaw).remove(positions)
-    hips, knees, ankles = (
-        joints[:, skeleton.sides(part)] for part in ("Hip", "Knee", "Ankle")
-    )
-    thighs, shanks = unit(knees - hips)[..., 1:], unit(ankles - knees)[..., 1:]
-    legs = np.concatenate([thighs, shanks, _HEIGHT * ankles[..., 1:2]], axis=2)
-    both = np.concatenate([legs, legs[:, ::-1]], axis=2)  # its own first, (T, 2, 10)
-    around = [values_at(time, both, time + away) for away in _AROUND]
-    return np.concatenate(around, axis=2, dtype=np.float32)
-
-
-def foot_pitches(
-    time: Array, positions: Array, stands: Flags, body: Body, *, by_kinect: bool
-) -> Array:
-    """Return the pitch of feet [rad], toes up, 0 if flat, shape (T, 2).
-
-    In a Kinect's takes it is predicted where legs move as in the training data; else it
-    is as shown, but that of a planted foot is as high as its ankle is beyond errors.
-    """
-    shown, held = pitch_of(positions, body), _held(positions, body, by_kinect)
-    if by_kinect:
-        predicted, familiar = foot_pitch()(time, positions, body.skeleton)
-        moving = shown + familiar * (predicted - shown)
-        resting = held + familiar * (_clear(predicted) - held)
-    else:
-        moving, resting = shown, _clear(shown)
-    pitch = np.where(stands, resting, moving)
-    return pitch.clip(flat_angle(body, ankles_and_toes(body.skeleton)[1][0]) - 0.5 * np.pi, 1.2)
-
-
-def _clear(pitch: Array) -> Array:
-    """Return the pitch of feet on the floor [rad]: nearly flat ones are flat."""
-    return np.asarray(pitch * ((np.abs(pitch) - _FLAT) / (_CLEAR - _FLAT)).clip(0.0, 1.0))
-
-
-def _held(positions: Array, body: Body, by_kinect: bool) -> Array:
-    """Return the pitch of feet whose ankles are higher than errors lift them."""
-    ankles, toes = ankles_and_toes(body.skeleton)
-    flat, sole, length = flat_height(body, toes[0]), body.radii[toes[0]], body.lengths[toes[0]]
-    error = _HEEL_ERROR if by_kinect else _OTHERS_HEEL_ERROR
-    rise = np.maximum(positions[:, ankles, 1] - flat - error, 0.0)
-    # A leg that the edge of the view cuts off ends higher than a heel can be.
-    most = sole + length - flat
-    rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
-    sine = ((flat + rise - sole) / length).clip(-1.0, 1.0)
-    return np.asarray(flat_angle(body, toes[0]) - np.arcsin(sine))
-
-
-def pitch_of(positions: Array, body: Body) -> Array:
-    """Return how far ankle and toes are from those of a flat foot [rad], (T, 2)."""
-    ankles, toes = ankles_and_toes(body.skeleton)
-    rise = unit(positions[:, toes] - positions[:, ankles])[..., 1]
-    return np.asarray(np.arcsin(rise) + flat_angle(body, toes[0]))
-
-
-def flat_angle(body: Body, toe: int) -> float:
-    """Return the angle [rad] by which toes are below the ankle of a flat foot."""
-    fall = flat_height(body, toe) - body.radii[toe]
-    return float(np.arcsin(fall / body.lengths[toe]))
+        rows = ((inputs - self._mean) * self._scale).reshape(-1, len(self._mean))
+        pitch, near = np.empty((2, len(rows)))
+        for k in chunks(len(rows), _CHUNK):
+            pitch[k] = self._features(rows[k]) @ self._weights
+            near[k] = similarity_to(rows[k], self._centers, self._squares)
+        familiar = ((near - _STRANGE) / (_FAMILIAR - _STRANGE)).clip(0.0, 1.0)
+        return pitch.reshape(-1, 2), familiar.reshape(-1, 2)
 
 
 @cache
 def foot_pitch() -> FootPitch:
     """Return the shipped prediction."""
-    path = Path(__file__).parents[1] / "embedded" / "foot_pitch.npz"
-    arrays = read_arrays(path, "weights of feet")
-    return FootPitch(*(arrays[name].astype(np.float32) for name in _ARRAYS))
+    return FootPitch.load(Path(__file__).parents[1] / "embedded" / "foot_pitch.npz")
+
+
+def legs_of(positions: Array, skeleton: Skeleton) -> Array:
+    """Return what describes both legs, that of each foot first, shape (T, 2, 10)."""
+    hips, knees, ankles = (
+        positions[:, skeleton.sides(part)] for part in ("Hip", "Knee", "Ankle")
+    )
+    left = hips[:, :1] - hips[:, 1:]
+    ahead = unit(left[..., ::-2] * [-1.0, 1.0])  # x and z, horizontal
+    bones = unit(np.stack([knees - hips, ankles - knees]))
+    legs = np.empty((len(positions), 2, 5))
+    legs[..., 0:4:2] = np.moveaxis(bones[..., 1], 0, 2)
+    legs[..., 1:4:2] = np.moveaxis(np.vecdot(bones[..., ::2], ahead), 0, 2)
+    legs[..., 4] = _HEIGHT * ankles[..., 1]
+    return np.concatenate([legs, legs[:, ::-1]], axis=2)
+
+
+def described(time: Array, legs: Array, now: Array) -> Singles:
+    """Return the inputs of the prediction at some time stamps [s], shape (N, 2, F).
+
+    ``legs`` (T, 2, 10) are ``legs_of`` the frames with other time stamps, (T,).
+    """
+    before = values_at(time, legs, (now[:, None] - _BEFORE).ravel())
+    rows = before.reshape(len(now), len(_BEFORE), *legs.shape[1:]).swapaxes(1, 2)
+    return rows.reshape(len(now), 2, -1).astype(np.float32)
+
+
+def foot_pitches(
+    time: Array, positions: Array, shown: Array, stands: Flags, body: Body
+) -> Array:
+    """Return the pitches in a take, shape (T, 2), of feet that may be planted, (T, 2).
+
+    They are as in ``positions`` as far as the toes are ``shown`` there, 0 to 1, (T, 2).
+    Else they are predicted where the legs move as in the training data; where they do
+    not, only the heels of planted feet rise whose ankles are high.
+    """
+    legs = legs_of(positions, body.skeleton)
+    return _found(described(time, legs, time), positions, shown, stands, body)
+
+
+class PitchTracker:
+    """Finds the pitches of live motion, frame by frame, as ``foot_pitches``."""
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._time, self._legs = np.empty(0), np.empty((0, 2, 10))
+
+    def step(self, time: float, positions: Array, shown: Array, stands: Flags) -> Array:
+        """Return the pitches in the next frame, shape (2,)."""
+        recent = self._time > time - 2.0 * _BEFORE[0]
+        self._time = np.append(self._time[recent], time)
+        legs = legs_of(positions[None], self._body.skeleton)
+        self._legs = np.concatenate([self._legs[recent], legs])
+        inputs = described(self._time, self._legs, self._time[-1:])
+        found = _found(inputs, positions[None], shown, stands, self._body)
+        return np.asarray(found[0])
+
+
+def _found(
+    inputs: Singles, positions: Array, shown: Array, stands: Flags, body: Body
+) -> Array:
+    found, familiar = foot_pitch()(inputs)
+    pitch = pitch_of(positions, body)
+    raised = np.where(stands, _raised(positions, body), pitch)
+    found = np.where(stands, _clear(found, _FLAT), found)
+    pitch = np.where(stands, _clear(pitch, _SHOWN_FLAT), pitch)
+    found = raised + familiar * (found - raised)
+    found += shown * (pitch - found)
+    # Feet point straight down, or up as far as they can.
+    return found.clip(flat_angle(body) - 0.5 * np.pi, _UP)
+
+
+def pitch_of(positions: Array, body: Body) -> Array:
+    """Return the pitches of joints [m], (..., J, 3), shape (..., 2)."""
+    ankles, toes = ankles_and_toes(body.skeleton)
+    rise = unit(positions[..., toes, :] - positions[..., ankles, :])[..., 1]
+    return np.asarray(np.arcsin(rise.clip(-1.0, 1.0)) + flat_angle(body))
+
+
+def flat_angle(body: Body) -> float:
+    """Return the angle [rad] by which toes are below the ankle of a flat foot."""
+    toe = ankles_and_toes(body.skeleton)[1][0]
+    fall = flat_height(body, toe) - body.radii[toe]
+    return float(np.arcsin(fall / body.lengths[toe]))
+
+
+def _clear(pitch: Array, limits: Array) -> Array:
+    """Return the pitch of a foot on the floor: one that is nearly flat is flat."""
+    share = (np.abs(pitch) - limits[0]) / (limits[1] - limits[0])
+    return np.asarray(pitch * share.clip(0.0, 1.0))
+
+
+def _raised(positions: Array, body: Body) -> Array:
+    """Return the pitches of feet whose ankles are higher than errors lift them."""
+    ankles, toes = ankles_and_toes(body.skeleton)
+    sole, length = body.radii[toes[0]], body.lengths[toes[0]]
+    flat = flat_height(body, toes[0])
+    rise = np.maximum(positions[:, ankles, 1] - flat - _HEEL_ERROR, 0.0)
+    # A leg that the edge of the view cuts off ends higher than a heel can be.
+    most = sole + length - flat
+    rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
+    sine = (flat + rise - sole) / length
+    return np.asarray(flat_angle(body) - np.arcsin(sine.clip(-1.0, 1.0)))

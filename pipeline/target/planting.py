@@ -33,7 +33,7 @@ which drag in 3 % of the frames of simulated walks with hips that are seen too l
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_DOWN = 0.01  # m that heel or toes may rise and still count as down
+_DOWN = 0.002  # m by which heel or toes may rise and still count as planted
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _BEHIND = 0.05
@@ -74,9 +74,8 @@ def plant_feet(
         stances = runs(still)
         if not stances:
             continue
-        path, flat = positions[:, [ankle, toe]], flat_height(body, toe)
-        below = flat_angle(body, toe) - pitch[:, foot]
-        path[:, 1] = path[:, 0] + body.lengths[toe] * _pointing(path, below)
+        below, flat = flat_angle(body) - pitch[:, foot], flat_height(body, toe)
+        path = pointed(positions[:, [ankle, toe]], below, body.lengths[toe])
         touching = np.array([flat, body.radii[toe]]) + _DOWN
         weights, joined = confidence[:, ankle], path.copy()
         upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
@@ -94,11 +93,11 @@ def plant_feet(
     return planted, contacts
 
 
-def _pointing(foot: Array, below: Array) -> Array:
-    """Return unit vectors from ankle to toes, (T, 3), for angles below level [rad]."""
-    level = unit((foot[:, 1] - foot[:, 0])[:, [0, 2]])
-    across, down = np.cos(below), np.sin(below)
-    return np.stack([across * level[:, 0], -down, across * level[:, 1]], axis=1)
+def pointed(foot: Array, below: Array, length: float) -> Array:
+    """Return ankles and toes [m], (N, 2, 3), with toes at angles below level [rad]."""
+    ahead = unit((foot[:, 1] - foot[:, 0])[:, [0, 2]]) * np.cos(below)[:, None]
+    toes = np.stack([ahead[:, 0], -np.sin(below), ahead[:, 1]], axis=1)
+    return np.stack([foot[:, 0], foot[:, 0] + length * toes], axis=1)
 
 
 def _resting(
@@ -110,22 +109,33 @@ def _resting(
     floor, which is at y = 0, or the toes rise: they are ``below`` it [rad], (T,).
     ``yaw`` is where the hips head [rad] in the frames in which the shank is upright.
     """
-    length, flat = body.lengths[toe], flat_angle(body, toe)
     ahead = np.median(path[:, 1] - path[:, 0], axis=0)[[0, 2]]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     if len(yaw):
         ahead = standing_direction(ahead, yaw)
+    turned = standing_feet(np.zeros(2), ahead, below, body, toe)
+    place = path[:, 0, [0, 2]] - turned[:, 0, [0, 2]]
+    turned[..., [0, 2]] += [_median(place[:, axis], weights) for axis in range(2)]
+    return turned
+
+
+def standing_feet(
+    place: Array, ahead: Array, below: Array, body: Body, toe: int
+) -> Array:
+    """Return ankle and toes [m], (..., 2, 3), of a foot with one of them on the floor.
+
+    Flat, the ankle is over a place; the toes are ``ahead``, both x and z, (..., 2), and
+    ``below`` level by an angle [rad], (...). They stay in place while the heel is up.
+    """
+    length, flat = body.lengths[toe], flat_angle(body)
     fall, reach = length * np.sin(below), length * np.cos(below)
-    # Toes stay in place while the heel is up.
     forward = np.where(below > flat, length * np.cos(flat) - reach, 0.0)
-    forward = forward[:, None] * ahead
-    place = path[:, 0, [0, 2]] - forward
-    place = np.array([_median(place[:, axis], weights) for axis in range(2)])
-    ankle = np.empty((len(path), 3))
-    ankle[:, 1] = np.maximum(body.radii[toe] + fall, flat_height(body, toe))
-    ankle[:, [0, 2]] = place + forward
-    tip = ankle + np.stack([reach * ahead[0], -fall, reach * ahead[1]], axis=1)
-    return np.stack([ankle, tip], axis=1)
+    ankle = place + forward[..., None] * ahead
+    tip = ankle + reach[..., None] * ahead
+    height = np.maximum(body.radii[toe] + fall, flat_height(body, toe))
+    ends = [np.stack([ankle[..., 0], height, ankle[..., 1]], axis=-1)]
+    ends.append(np.stack([tip[..., 0], height - fall, tip[..., 1]], axis=-1))
+    return np.stack(ends, axis=-2)
 
 
 def _median(values: Array, weights: Array) -> float:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from kinefilter.characters import Body, InputError, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
+from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.formats.sheets import read_contacts
@@ -18,8 +20,8 @@ from kinefilter.pipeline.upright import Turn, find_turn, given_turn
 from kinefilter.retarget import BoneLengths
 
 from . import feet, floor, planting
+from .foot_pitch import PitchTracker, flat_angle, foot_pitches
 from .possible_postures import even_turns, possible_joints, possible_knees
-from .foot_pitch import foot_pitches
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
 
@@ -241,32 +243,39 @@ class Feet(Stage):
         """Reset the state for a new motion."""
         ankles, toes = feet.ankles_and_toes(body.skeleton)
         self._parts, self._stance = np.transpose([ankles, toes]), feet.StanceTracker()
-        self._flat = feet.flat_height(body, toes[0])
+        self._flat, self._pitches = feet.flat_height(body, toes[0]), PitchTracker(body)
         self._heights = np.stack([np.full(2, self._flat), body.radii[toes]], axis=1)
-        self._moved, self._anchors = np.zeros((2, 2, 2, 3))  # by foot, ankle and toes
+        self._moved = np.zeros((2, 2, 3))  # by foot, ankle and toes
+        self._places, self._ahead = np.zeros((2, 2, 2))  # by foot, x and z
         self._planted = np.zeros(2, dtype=np.bool_)
 
     def step(self, draft: Draft) -> None:
         """Hold, release or lift the feet of the next frame."""
         positions, weights = draft.positions.copy(), draft.weights.copy()
-        path, elapsed = positions[self._parts], draft.elapsed
-        stands = self._stance.step(path[:, 0], self._flat, elapsed)
-        moved = (path - self._anchors)[:, 1, [0, 2]]
-        stepped = np.linalg.norm(moved, axis=1) > _REACH
+        ankles, toes = self._parts.T
+        elapsed, level, toe = draft.elapsed, [0, 2], toes[0]
+        stands = self._stance.step(positions[ankles], self._flat, elapsed)
+        pitch = self._pitches.step(
+            float(draft.time), positions, _shown(draft, toes), stands
+        )
+        below = flat_angle(draft.body) - pitch
+        path = planting.pointed(positions[self._parts], below, draft.body.lengths[toe])
+        rest = partial(planting.standing_feet, below=below, body=draft.body, toe=toe)
+        away = rest(self._places, self._ahead) - path
+        stepped = np.linalg.norm(away[:, 1, level], axis=1) > _REACH
         stands = self._stance.let_go(self._planted & stepped)
-        place = path + self._moved
-        place[..., 1] = self._heights
         lands = stands & ~self._planted
-        self._anchors[lands] = place[lands]
+        ahead = unit((path[:, 1] - path[:, 0])[:, level])
+        place = (path + self._moved - rest(np.zeros(2), ahead))[:, 0, level]
+        self._places[lands], self._ahead[lands] = place[lands], ahead[lands]
         self._moved *= np.exp(-elapsed / _LET_GO)
-        away = self._anchors - path
+        away = rest(self._places, self._ahead) - path
         far = np.linalg.norm(away, axis=2, keepdims=True)
         self._moved[stands] = (away * np.minimum(_REACH / (far + 1e-9), 1.0))[stands]
-        positions[self._parts] += self._moved
-        toes = positions[self._parts[:, 1]]
-        lift = self._stance.lift(toes, self._heights[:, 1], elapsed)
-        positions[self._parts, 1] += lift[:, None]
-        weights[self._parts[stands]] = planting.HELD
+        path += self._moved
+        above = (path[..., 1] - self._heights).min(axis=1)
+        path[..., 1] += self._stance.lift(path[:, 1], above, elapsed)[:, None]
+        positions[self._parts], weights[self._parts[stands]] = path, planting.HELD
         self._planted = stands
         draft.positions, draft.bone_weights, draft.stands = positions, weights, stands
 
@@ -274,6 +283,8 @@ class Feet(Stage):
         """Hold and lift the feet of a take."""
         time, positions, weights = draft.time, draft.positions, draft.weights
         stands, contacts = draft.stands, self.given
+        ankles, toes = feet.ankles_and_toes(draft.skeleton)
+        shown = _shown(draft, toes)
         if self._feet != "auto":
             stands = np.full_like(stands, self._feet == "always")
         if contacts is None and self._file is not None:
@@ -283,9 +294,7 @@ class Feet(Stage):
         planted, found = np.empty_like(positions), np.empty((len(time), 4), dtype=bool)
         for k in parts_of(time):
             frames = time[k], positions[k]
-            pitch = foot_pitches(
-                *frames, stands[k], draft.body, by_kinect=draft.by_kinect
-            )
+            pitch = foot_pitches(*frames, shown[k], stands[k], draft.body)
             if contacts is not None:
                 pitch[contacts[k, ::2]] = np.maximum(pitch[contacts[k, ::2]], 0.0)
                 pitch[contacts[k, 1::2]] = np.minimum(pitch[contacts[k, 1::2]], 0.0)
@@ -295,12 +304,17 @@ class Feet(Stage):
         draft.positions, draft.contacts = planted, found
         draft.stands = feet.planted_feet(found)
         weights = np.maximum(weights, _LEAST_BONE_WEIGHT)
-        ankles, toes = feet.ankles_and_toes(draft.skeleton)
         least = planting.stepping_weights(planted[:, ankles, 1])
         for part in (ankles, toes):
             steps = np.maximum(weights[:, part], least)
             weights[:, part] = np.where(stands, planting.PLANTED, steps)
         draft.bone_weights = weights
+
+
+def _shown(draft: Draft, toes: Sequence[int]) -> Array:
+    """Return how far toes are shown, 0 to 1, (..., 2): a Kinect's are mostly wrong."""
+    weights = draft.weights[..., toes]
+    return np.zeros_like(weights) if draft.by_kinect else weights
 
 
 class Bones(Stage):
