@@ -76,6 +76,9 @@ def clean_again(
             draft.put(part, frames, away <= _AROUND)
     for stage in stages[correct + 1 : feet]:
         stage.run(draft, progress)
+    # Which foot stands may hang by a hair elsewhere, too.
+    near = (away <= _AROUND)[:, None]
+    draft.stands = np.where(near, draft.stands, before.planted.stands)
     away_of_feet = _plant(stages[feet], draft, edits, progress)
     away = np.minimum(_away(take, edits), away_of_feet)
     pin(draft, [edit for edit in edits if edit.kind == "pin"], before)

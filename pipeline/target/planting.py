@@ -33,7 +33,7 @@ which drag in 3 % of the frames of simulated walks with hips that are seen too l
 _LOW, _HIGH = 0.2, 0.35
 """Heights [m] of an ankle at which all, and none, of that weight counts. Feet that kick
 high, on legs that are seen 15 cm too long, draw the hips along half as far."""
-_DOWN = 0.002  # m by which heel or toes may rise and still count as planted
+_LEVEL = 1e-9  # rad: with less, both heel and toes are on the floor
 _HOLD = 0.08  # s that a foot stays over its place while it is lifted or set down
 _CATCH_UP = 0.15  # s in which it then joins the measured path
 _BEHIND = 0.05
@@ -66,7 +66,9 @@ def plant_feet(
     leaves and arrives where it is planted, and lifted where it is fast. Contacts,
     shape (T, 4), are those of CONTACTS.
     """
-    planted, contacts = positions.copy(), np.zeros((len(time), 4), dtype=np.bool_)
+    planted = positions.copy()
+    down = [pitch > -_LEVEL, pitch < _LEVEL]  # heels, and toes
+    contacts = (stands[..., None] & np.stack(down, axis=2)).reshape(-1, 4)
     yaw = hips_yaw(positions, body.skeleton)
     feet = zip(*ankles_and_toes(body.skeleton), strict=True)
     for foot, (ankle, toe) in enumerate(feet):
@@ -76,13 +78,11 @@ def plant_feet(
             continue
         below, flat = flat_angle(body) - pitch[:, foot], flat_height(body, toe)
         path = pointed(positions[:, [ankle, toe]], below, body.lengths[toe])
-        touching = np.array([flat, body.radii[toe]]) + _DOWN
         weights, joined = confidence[:, ankle], path.copy()
         upright = uprightness(positions[:, body.skeleton.parents[ankle]] - path[:, 0])
         for s in stances:
             hips = yaw[s][upright[s] == 1.0]
             joined[s] = _resting(path[s], weights[s], below[s], hips, body, toe)
-            contacts[s, 2 * foot : 2 * foot + 2] = joined[s][..., 1] < touching
         path = _joined(time, path, joined, stances)
         path[~still] = turned_ahead(path, yaw, upright)[~still]
         soles = ((path[:, 0], flat), (path[:, 1], body.radii[toe]))
