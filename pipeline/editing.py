@@ -76,7 +76,7 @@ def clean_again(
             draft.put(part, frames, away <= _AROUND)
     for stage in stages[correct + 1 : feet]:
         stage.run(draft, progress)
-    # Which foot stands may hang by a hair elsewhere, too.
+    # Elsewhere it may hang by a hair whether a foot stands: there it does as before.
     near = (away <= _AROUND)[:, None]
     draft.stands = np.where(near, draft.stands, before.planted.stands)
     away_of_feet = _plant(stages[feet], draft, edits, progress)

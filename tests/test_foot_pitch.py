@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_motions import BODY, Array, stamps, standing
+from known_motions import BODY, Array, performed, stamps, standing
 from real_data import CMU, captured
 from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, standard_body
 from kinefilter.characters.rotations import about_y, rotate
+from kinefilter.pipeline.cleaner import Cleaner
+from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.lab import foot_lessons
 from kinefilter.pipeline.lab.foot_lessons import errors, learn, read_lessons
@@ -27,6 +29,7 @@ from kinefilter.pipeline.target.foot_pitch import (
     legs_of,
     pitch_of,
 )
+from kinefilter.pipeline.target.target_stages import Feet
 from kinefilter.pipeline.workers import workers
 from kinefilter.scenes.library import perform
 
@@ -125,6 +128,19 @@ def test_feet_do_not_stand_on_their_tips_where_the_view_cuts_legs_off(
     path[:, ankles, 1] += lifted
     down = np.degrees(foot_pitch._raised(path, BODY))
     assert (np.abs(down) < 1e-9 if flat else down < -20.0).all()
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_heels_and_toes_that_are_said_to_be_down_are(part: int) -> None:
+    take = performed("walk", KINECT_V2)
+    given = np.ones((len(take.time), 4), dtype=np.bool_)
+    given[:, 1 - part :: 2] = False  # of the other part nothing is said
+    config = CleanConfig(method="none")
+    draft = Cleaner(config).replaced(Feet(config, given)).until("feet").whole(take)
+    assert draft.contacts[:, part::2].all()
+    pitch = pitch_of(draft.positions, draft.body)
+    assert np.abs(pitch).max() > np.radians(10.0)
+    assert ((1.0, -1.0)[part] * pitch).min() > -np.radians(0.5)
 
 
 @settings(max_examples=25, deadline=None)
