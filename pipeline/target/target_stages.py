@@ -265,11 +265,12 @@ class Feet(Stage):
         stepped = np.linalg.norm(away[:, 1, level], axis=1) > _REACH
         stands = self._stance.let_go(self._planted & stepped)
         lands = stands & ~self._planted
-        ahead = unit((path[:, 1] - path[:, 0])[:, level])
-        place = (path + self._moved - rest(np.zeros(2), ahead))[:, 0, level]
-        self._places[lands], self._ahead[lands] = place[lands], ahead[lands]
+        if lands.any():
+            ahead = unit((path[:, 1] - path[:, 0])[:, level])
+            place = (path + self._moved - rest(np.zeros(2), ahead))[:, 0, level]
+            self._places[lands], self._ahead[lands] = place[lands], ahead[lands]
+            away = rest(self._places, self._ahead) - path
         self._moved *= np.exp(-elapsed / _LET_GO)
-        away = rest(self._places, self._ahead) - path
         far = np.linalg.norm(away, axis=2, keepdims=True)
         self._moved[stands] = (away * np.minimum(_REACH / (far + 1e-9), 1.0))[stands]
         path += self._moved
