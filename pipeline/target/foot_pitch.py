@@ -150,6 +150,7 @@ class PitchTracker:
 def _found(
     inputs: Singles, positions: Array, shown: Array, stands: Flags, body: Body
 ) -> Array:
+    """Return the pitches of frames with some inputs of the prediction, (T, 2)."""
     found, familiar = foot_pitch()(inputs)
     pitch = pitch_of(positions, body)
     raised = np.where(stands, _raised(positions, body), pitch)
