@@ -31,7 +31,7 @@ from .feet import ankles_and_toes, flat_height
 
 _BEFORE = np.array([0.3, 0.2, 0.1, 0.0])  # s: the frames that describe the motion
 _HEIGHT = 3.0  # weight of an ankle's height [m], against 1 for components of directions
-_CHUNK = 512  # rows of inputs at a time
+_CHUNK = 256  # frames at a time
 # Similarity to the training data at which none, and all, of the prediction counts, and
 # pitches [rad] of planted feet that are due to errors, and that are not at all: as
 # predicted, and as shown. Chosen on s02, s03 and s04 and CMU's people 02, 06, 07, 10,
@@ -77,10 +77,8 @@ class FootPitch:
         Inputs, (N, 2, F), are those that ``described`` returns.
         """
         rows = ((inputs - self._mean) * self._scale).reshape(-1, len(self._mean))
-        pitch, near = np.empty((2, len(rows)))
-        for k in chunks(len(rows), _CHUNK):
-            pitch[k] = self._features(rows[k]) @ self._weights
-            near[k] = similarity_to(rows[k], self._centers, self._squares)
+        pitch = (self._features(rows) @ self._weights).astype(float)
+        near = similarity_to(rows, self._centers, self._squares)
         familiar = ((near - _STRANGE) / (_FAMILIAR - _STRANGE)).clip(0.0, 1.0)
         return pitch.reshape(-1, 2), familiar.reshape(-1, 2)
 
@@ -125,8 +123,11 @@ def foot_pitches(
     Else they are predicted where the legs move as in the training data; where they do
     not, only the heels of planted feet rise whose ankles are high.
     """
-    legs = legs_of(positions, body.skeleton)
-    return _found(described(time, legs, time), positions, shown, stands, body)
+    legs, pitch = legs_of(positions, body.skeleton), np.empty(stands.shape)
+    for k in chunks(len(time), _CHUNK):
+        frames = positions[k], shown[k], stands[k]
+        pitch[k] = _found(described(time, legs, time[k]), *frames, body)
+    return pitch
 
 
 class PitchTracker:
