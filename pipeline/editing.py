@@ -76,9 +76,9 @@ def clean_again(
             draft.put(part, frames, away <= _AROUND)
     for stage in stages[correct + 1 : feet]:
         stage.run(draft, progress)
-    # Elsewhere it may hang by a hair whether a foot stands: there it does as before.
-    near = (away <= _AROUND)[:, None]
-    draft.stands = np.where(near, draft.stands, before.planted.stands)
+    # Far from the edits, feet stand as before, even where that was a close decision.
+    far = (away > _AROUND)[:, None]
+    draft.stands = np.where(far, before.planted.stands, draft.stands)
     away_of_feet = _plant(stages[feet], draft, edits, progress)
     away = np.minimum(_away(take, edits), away_of_feet)
     pin(draft, [edit for edit in edits if edit.kind == "pin"], before)

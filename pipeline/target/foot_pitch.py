@@ -38,11 +38,6 @@ _CHUNK = 256  # frames at a time
 # 16, 29 and 32.
 _STRANGE, _FAMILIAR = 0.7, 0.85
 _FLAT, _SHOWN_FLAT = np.radians([10.0, 20.0]), np.radians([5.0, 15.0])
-_HEEL_ERROR = 0.07
-"""How much higher [m] than of a flat foot an ankle is whose heel has left the floor.
-Chosen on walks of people 02, 05, 07, 16 and 29 of CMU and on every fourth recorded
-take."""
-_UP = 1.2  # rad that toes point up at most
 
 
 class FootPitch:
@@ -120,8 +115,8 @@ def foot_pitches(
     """Return the pitches in a take, shape (T, 2), of feet that may be planted, (T, 2).
 
     They are as in ``positions`` as far as the toes are ``shown`` there, 0 to 1, (T, 2).
-    Else they are predicted where the legs move as in the training data; where they do
-    not, only the heels of planted feet rise whose ankles are high.
+    Else they are predicted where the legs move as in the training data. Where they do
+    not, planted feet are flat, and others point as in ``positions``.
     """
     legs, pitch = legs_of(positions, body.skeleton), np.empty(stands.shape)
     for k in chunks(len(time), _CHUNK):
@@ -152,15 +147,14 @@ def _found(
     inputs: Singles, positions: Array, shown: Array, stands: Flags, body: Body
 ) -> Array:
     """Return the pitches of frames with some inputs of the prediction, (T, 2)."""
-    found, familiar = foot_pitch()(inputs)
-    pitch = pitch_of(positions, body)
-    raised = np.where(stands, _raised(positions, body), pitch)
-    found = np.where(stands, _clear(found, _FLAT), found)
-    pitch = np.where(stands, _clear(pitch, _SHOWN_FLAT), pitch)
-    found = raised + familiar * (found - raised)
-    found += shown * (pitch - found)
-    # Feet point straight down, or up as far as they can.
-    return found.clip(flat_angle(body) - 0.5 * np.pi, _UP)
+    predicted, familiar = foot_pitch()(inputs)
+    seen = pitch_of(positions, body)
+    usual = np.where(stands, 0.0, seen)
+    predicted = np.where(stands, _clear(predicted, _FLAT), predicted)
+    pitch = usual + familiar * (predicted - usual)
+    pitch += shown * (np.where(stands, _clear(seen, _SHOWN_FLAT), seen) - pitch)
+    # A foot that stands on its toes does not tip over them.
+    return np.maximum(pitch, flat_angle(body) - 0.5 * np.pi)
 
 
 def pitch_of(positions: Array, body: Body) -> Array:
@@ -181,16 +175,3 @@ def _clear(pitch: Array, limits: Array) -> Array:
     """Return the pitch of a foot on the floor: one that is nearly flat is flat."""
     share = (np.abs(pitch) - limits[0]) / (limits[1] - limits[0])
     return np.asarray(pitch * share.clip(0.0, 1.0))
-
-
-def _raised(positions: Array, body: Body) -> Array:
-    """Return the pitches of feet whose ankles are higher than errors lift them."""
-    ankles, toes = ankles_and_toes(body.skeleton)
-    sole, length = body.radii[toes[0]], body.lengths[toes[0]]
-    flat = flat_height(body, toes[0])
-    rise = np.maximum(positions[:, ankles, 1] - flat - _HEEL_ERROR, 0.0)
-    # A leg that the edge of the view cuts off ends higher than a heel can be.
-    most = sole + length - flat
-    rise = np.minimum(rise, np.maximum(2.0 * most - rise, 0.0))
-    sine = (flat + rise - sole) / length
-    return np.asarray(flat_angle(body) - np.arcsin(sine.clip(-1.0, 1.0)))
