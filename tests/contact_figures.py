@@ -1,0 +1,87 @@
+"""How often contacts of clips agree with the mocap.
+
+Reads pairs, and mocap that a virtual Kinect sees. In the mocap, a foot is planted while
+its ankle or its toes are slower than 0.4 m/s and lower than 8 cm. Prints for each
+person the share of feet [%] whose contact is wrong if both always stand, in clips, and
+live.
+
+    python tests/contact_figures.py ../shared/data/mocap/cmu/{08_01,12_02,35_01}.bvh.gz
+"""
+
+from __future__ import annotations
+
+import argparse
+import zlib
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter import Avatar, Cleaner
+from kinefilter.characters import Skeleton, Take
+from kinefilter.pipeline.commands.terminal import out
+from kinefilter.pipeline.lab.simulation import simulate
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.target.feet import ankles_and_toes, planted_feet
+from kinefilter.scenes.sensor import SENSORS
+from kinefilter.scenes.sensor.geometry import in_world_frame
+
+_SLOW, _LOW = 0.4, 0.08  # m/s, m
+_LOWEST = 5.0  # percentile of heights that is the floor
+_EVERY = 9  # clips of pairs
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+def planted(time: Array, truth: Array, skeleton: Skeleton) -> Flags:
+    """Return whether each foot is planted in mocap [m] with the y axis up, (T, 2)."""
+    parts = truth[:, ankles_and_toes(skeleton)]  # (T, ankle and toes, foot, 3)
+    speed = np.linalg.norm(np.gradient(parts, time, axis=0), axis=3)
+    floor = np.nanpercentile(parts[..., 1], _LOWEST, axis=0)
+    rests = (speed < _SLOW) & (parts[..., 1] < floor + _LOW)
+    return np.asarray(rests.any(axis=1))
+
+
+def live_contacts(take: Take, avatar: Avatar) -> Flags:
+    """Return whether each foot is planted in each frame that an avatar follows."""
+    frames = zip(take.time, take.positions, take.state, strict=True)
+    return np.array([avatar.step(p, s, state).stands for s, p, state in frames])
+
+
+def recordings(file: Path) -> Iterator[tuple[str, PairedTake, Array]]:
+    """Yield person, take and truth with the y axis up of each recording in a file."""
+    if file.suffix == ".npz":
+        for pair in read_pairs(file)[::_EVERY]:
+            yield pair.subject, pair, pair.truth
+    else:
+        seed = zlib.crc32(file.name.encode()) % 10_000
+        pair = simulate("basic", str(file), seed=seed)
+        person = file.name.partition("_")[0]
+        yield person, pair, in_world_frame(pair.truth, SENSORS["v2"])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", type=Path, nargs="+")
+    files = sorted(parser.parse_args().files)
+    found = []
+    for person, pair, truth in (one for file in files for one in recordings(file)):
+        take, clip = pair.take, Cleaner().clean(pair.take).clip
+        true = planted(take.time, truth, take.skeleton)
+        frames = np.abs(take.time[:, None] - clip.time).argmin(axis=0)
+        live = live_contacts(take, Avatar(clip.body))
+        guesses = np.ones_like(true)[frames], planted_feet(clip.contacts), live[frames]
+        wrong = np.array([guess != true[frames] for guess in guesses])
+        found.append((person, wrong.mean(axis=2)))
+    out.print("person, frames, always, clip, live")
+    for person, group in groupby(found, key=lambda one: one[0]):
+        wrong = np.concatenate([values for _, values in group], axis=1)
+        means = (f"{value:5.1f}" for value in 100.0 * wrong.mean(axis=1))
+        out.print(f"{person:4s} {wrong.shape[1]:6d}", *means)
+
+
+if __name__ == "__main__":
+    main()
