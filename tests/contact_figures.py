@@ -3,7 +3,7 @@
 Reads pairs, and mocap that a virtual Kinect sees. In the mocap, a foot is planted while
 its ankle or its toes are slower than 0.4 m/s and lower than 8 cm. Prints for each
 person the share of feet [%] whose contact is wrong if both always stand, in clips, and
-live.
+live with the segment lengths of the clip.
 
     python tests/contact_figures.py ../shared/data/mocap/cmu/{08_01,12_02,35_01}.bvh.gz
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import zlib
 from collections.abc import Iterator
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
@@ -36,13 +36,16 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-def planted(time: Array, truth: Array, skeleton: Skeleton) -> Flags:
-    """Return whether each foot is planted in mocap [m] with the y axis up, (T, 2)."""
+def planted(time: Array, truth: Array, skeleton: Skeleton) -> tuple[Flags, Flags]:
+    """Return whether each foot is planted, and whether it is known, both (T, 2).
+
+    ``truth`` has the joints of the mocap [m] with the y axis up.
+    """
     parts = truth[:, ankles_and_toes(skeleton)]  # (T, ankle and toes, foot, 3)
     speed = np.linalg.norm(np.gradient(parts, time, axis=0), axis=3)
     floor = np.nanpercentile(parts[..., 1], _LOWEST, axis=0)
     rests = (speed < _SLOW) & (parts[..., 1] < floor + _LOW)
-    return np.asarray(rests.any(axis=1))
+    return np.any(rests, axis=1), np.all(np.isfinite(speed), axis=1)
 
 
 def live_contacts(take: Take, avatar: Avatar) -> Flags:
@@ -68,15 +71,15 @@ def main() -> None:
     parser.add_argument("files", type=Path, nargs="+")
     files = sorted(parser.parse_args().files)
     found = []
-    for person, pair, truth in (one for file in files for one in recordings(file)):
+    for person, pair, truth in chain.from_iterable(map(recordings, files)):
         take, clip = pair.take, Cleaner().clean(pair.take).clip
-        true = planted(take.time, truth, take.skeleton)
+        true, known = planted(take.time, truth, take.skeleton)
         frames = np.abs(take.time[:, None] - clip.time).argmin(axis=0)
         live = live_contacts(take, Avatar(clip.body))
         guesses = np.ones_like(true)[frames], planted_feet(clip.contacts), live[frames]
         wrong = np.array([guess != true[frames] for guess in guesses])
-        found.append((person, wrong.mean(axis=2)))
-    out.print("person, frames, always, clip, live")
+        found.append((person, wrong[:, known[frames]]))
+    out.print("person, feet, always, clip, live")
     for person, group in groupby(found, key=lambda one: one[0]):
         wrong = np.concatenate([values for _, values in group], axis=1)
         means = (f"{value:5.1f}" for value in 100.0 * wrong.mean(axis=1))
