@@ -11,8 +11,6 @@ live with the segment lengths of the clip.
 from __future__ import annotations
 
 import argparse
-import zlib
-from collections.abc import Iterator
 from itertools import chain, groupby
 from pathlib import Path
 
@@ -22,11 +20,8 @@ from numpy.typing import NDArray
 from kinefilter import Avatar, Cleaner
 from kinefilter.characters import Skeleton, Take
 from kinefilter.pipeline.commands.terminal import out
-from kinefilter.pipeline.lab.simulation import simulate
-from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.lab.simulation import recorded_pairs
 from kinefilter.pipeline.target.feet import ankles_and_toes, planted_feet
-from kinefilter.scenes.sensor import SENSORS
-from kinefilter.scenes.sensor.geometry import in_world_frame
 
 _SLOW, _LOW = 0.4, 0.08  # m/s, m
 _LOWEST = 5.0  # percentile of heights that is the floor
@@ -54,31 +49,20 @@ def live_contacts(take: Take, avatar: Avatar) -> Flags:
     return np.array([avatar.step(p, s, state).stands for s, p, state in frames])
 
 
-def recordings(file: Path) -> Iterator[tuple[str, PairedTake, Array]]:
-    """Yield person, take and truth with the y axis up of each recording in a file."""
-    if file.suffix == ".npz":
-        for pair in read_pairs(file)[::_EVERY]:
-            yield pair.subject, pair, pair.truth
-    else:
-        seed = zlib.crc32(file.name.encode()) % 10_000
-        pair = simulate("basic", str(file), seed=seed)
-        person = file.name.partition("_")[0]
-        yield person, pair, in_world_frame(pair.truth, SENSORS["v2"])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", type=Path, nargs="+")
     files = sorted(parser.parse_args().files)
     found = []
-    for person, pair, truth in chain.from_iterable(map(recordings, files)):
+    pairs = chain.from_iterable(recorded_pairs(file, _EVERY) for file in files)
+    for pair in pairs:
         take, clip = pair.take, Cleaner().clean(pair.take).clip
-        true, known = planted(take.time, truth, take.skeleton)
+        true, known = planted(take.time, pair.truth, take.skeleton)
         frames = np.abs(take.time[:, None] - clip.time).argmin(axis=0)
         live = live_contacts(take, Avatar(clip.body))
         guesses = np.ones_like(true)[frames], planted_feet(clip.contacts), live[frames]
         wrong = np.array([guess != true[frames] for guess in guesses])
-        found.append((person, wrong[:, known[frames]]))
+        found.append((pair.subject, wrong[:, known[frames]]))
     out.print("person, feet, always, clip, live")
     for person, group in groupby(found, key=lambda one: one[0]):
         wrong = np.concatenate([values for _, values in group], axis=1)

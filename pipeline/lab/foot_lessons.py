@@ -7,7 +7,6 @@ weights learned from the others: always flat, as Kinect shows them, and as predi
 """
 
 import sys
-import zlib
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -20,7 +19,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.correct.posture_features import RandomFeatures
 from kinefilter.pipeline.formats.npz import write_arrays
-from kinefilter.pipeline.pairs import PairedTake, read_pairs
+from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.target.feet import ankles_and_toes
 from kinefilter.pipeline.target.foot_pitch import (
     FootPitch,
@@ -29,11 +28,9 @@ from kinefilter.pipeline.target.foot_pitch import (
     pitch_of,
 )
 from kinefilter.pipeline.workers import workers
-from kinefilter.scenes.sensor import SENSORS
-from kinefilter.scenes.sensor.geometry import in_world_frame
 
 from .methods.fourier_ridge_learner import centers_of
-from .simulation import simulate
+from .simulation import recorded_pairs
 
 _EVERY = 4  # use every fourth clip of pairs
 _STILL = 0.15  # m/s: feet with slower ankles are flat, in the median
@@ -67,14 +64,11 @@ def read_lessons(files: Sequence[Path]) -> list[Lesson]:
 
 
 def _lessons_in(file: Path) -> list[Lesson]:
-    if file.suffix == ".npz":
-        return [_lesson(p, p.subject, p.truth) for p in read_pairs(file)[::_EVERY]]
-    pair = simulate("basic", str(file), seed=zlib.crc32(file.name.encode()) % 10_000)
-    upright = in_world_frame(pair.truth, SENSORS["v2"])
-    return [_lesson(pair, file.name.partition("_")[0], upright)]
+    return [_lesson(pair) for pair in recorded_pairs(file, _EVERY)]
 
 
-def _lesson(pair: PairedTake, person: str, truth: Array) -> Lesson:
+def _lesson(pair: PairedTake) -> Lesson:
+    truth = pair.truth
     draft, time = Cleaner().until("floor").whole(pair.take), pair.take.time
     ankles, toes = ankles_and_toes(draft.skeleton)
     known = np.isfinite(truth[:, [*ankles, *toes]]).all(axis=(1, 2))
@@ -82,7 +76,7 @@ def _lesson(pair: PairedTake, person: str, truth: Array) -> Lesson:
     speed = np.linalg.norm(np.gradient(truth[:, ankles], time, axis=0), axis=2)
     legs = legs_of(draft.positions, draft.skeleton)
     inputs, still = described(time, legs, time), speed < _STILL
-    return Lesson(person, inputs[known], pitch[known], shown[known], still[known])
+    return Lesson(pair.subject, inputs[known], pitch[known], shown[known], still[known])
 
 
 def learn(lessons: Sequence[Lesson]) -> FootPitch:

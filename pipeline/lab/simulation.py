@@ -1,6 +1,7 @@
 """Simulated takes with ground truth: performances recorded by virtual Kinects."""
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from kinefilter.characters import SKELETONS, Body, Motion, State, Take
 from kinefilter.characters.arrays import Array, check_choice
 from kinefilter.pipeline.formats.npz import write_arrays
 from kinefilter.pipeline.merge.lag import Clock
-from kinefilter.pipeline.pairs import PairedTake
+from kinefilter.pipeline.pairs import PairedTake, read_pairs
 from kinefilter.pipeline.progress import Progress, silent
 from kinefilter.scenes import load_scene
 from kinefilter.scenes.library import MOTIONS, Area, perform, prop_poses, random_body
@@ -180,6 +181,19 @@ def simulated_pairs(
     """Return Kinect v2 takes of up to 900 people in no study, for training."""
     people = min(people, _MOST_PEOPLE)
     return [simulated_pair(k, skeleton) for k in progress("simulate", people)]
+
+
+def recorded_pairs(file: Path, every: int = 1) -> Iterator[PairedTake]:
+    """Yield every so many pairs of a file, or of mocap what a virtual Kinect sees.
+
+    The person of mocap is what its name begins with: 35 in 35_01.bvh.gz.
+    """
+    if file.suffix == ".npz":
+        yield from read_pairs(file)[::every]
+    else:
+        seed = zlib.crc32(file.name.encode()) % 10_000
+        pair = simulate("basic", str(file), seed=seed)
+        yield replace(pair, subject=file.name.partition("_")[0])
 
 
 def pairs_with_props(
