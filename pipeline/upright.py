@@ -33,7 +33,7 @@ _CARRYING = -0.3
 far from the shoulders as the head. A guess."""
 _LEANING = np.radians(30.0)  # of all frames, whatever people do; at most 25 in clips
 _BACKWARDS = -0.25  # median cosine between toes and front; 0.26 or more in these clips
-_NEAREST = 0.5  # m: no sensor sees people who are nearer
+NEAREST = 0.5  # m: no sensor sees people who are nearer
 _MIRRORED = (
     "toes point backwards in most frames: left and right are swapped, or an axis "
     "points the wrong way; if y points down, negate it"
@@ -199,6 +199,6 @@ def _mirrored(positions: Array, skeleton: Skeleton) -> bool:
     cosines = np.sum(unit(front) * unit(toes), axis=1)
     place = positions[:, skeleton.root, ::2]
     behind = np.sum(unit(place) * toes[:, ::2], axis=1) > 0.0
-    behind &= np.linalg.norm(place, axis=1) > _NEAREST
+    behind &= np.linalg.norm(place, axis=1) > NEAREST
     backwards = (cosines < _BACKWARDS) & ~behind
     return bool(2 * backwards.sum() > np.sum(~np.isnan(cosines)))

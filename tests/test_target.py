@@ -205,7 +205,7 @@ def test_a_floor_that_is_given_is_the_floor(kick: Motion) -> None:
 
 def test_who_hangs_in_the_air_over_a_given_floor_stays_there() -> None:
     path = np.tile(BODY.rest_positions, (60, 1, 1)) + np.array([0.0, 0.6, 0.0])
-    target = placed(np.arange(60) / 30.0, path, feet="never", floor=0.0)
+    target = placed(np.arange(60) / 30.0, path, feet="never", floor=0.0, tilt=0.0)
     np.testing.assert_allclose(target.positions, path, atol=1e-6)
 
 

@@ -11,8 +11,8 @@ from real_data import TAKES, recorded
 
 from kinefilter import CleanConfig, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
-from kinefilter.pipeline.target.feet import find_stance
-from kinefilter.pipeline.target.floor import Stood, leveled, sensor_tilt
+from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.target.tilt import TiltEvidence, sensor_tilt
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
@@ -28,35 +28,47 @@ def walking(tilt: float, noise: float) -> tuple[Array, Array]:
     return act.time[:120], leveled(there, -np.radians(tilt))
 
 
+def tilt_of(*people: Array, confidence: float = 1.0, by_kinect: bool = True) -> float:
+    """Return the tilt [degrees] that people show in frames of 1/30 s."""
+    found = []
+    for positions in people:
+        person = TiltEvidence(KINECT_V1)
+        known = np.full(positions.shape[:2], confidence)
+        person.add(positions, known, np.full(len(positions), 1.0 / 30.0))
+        found.append(person)
+    return float(np.degrees(sensor_tilt(found, by_kinect=by_kinect)))
+
+
+@pytest.mark.parametrize("by_kinect", [True, False])
 @pytest.mark.parametrize("tilt", [-12.0, -5.0, 8.0])
-def test_the_tilt_is_found_under_someone_who_walks(tilt: float) -> None:
-    time, positions = walking(tilt, 0.01)
-    confidence = np.ones(positions.shape[:2])
-    stands = find_stance(time, positions, confidence, KINECT_V1)
-    found = np.degrees(sensor_tilt([Stood(positions, confidence, stands, BODY)]))
-    assert found == pytest.approx(tilt, abs=1.0)
+def test_the_tilt_is_found_under_someone_who_walks(
+    tilt: float, *, by_kinect: bool
+) -> None:
+    _, positions = walking(tilt, 0.01)
+    assert tilt_of(positions, by_kinect=by_kinect) == pytest.approx(tilt, abs=1.0)
 
 
 def test_a_level_sensor_stays_as_it_is() -> None:
-    time, positions = walking(0.0, 0.01)
-    confidence = np.ones(positions.shape[:2])
-    stands = find_stance(time, positions, confidence, KINECT_V1)
-    person = Stood(positions, confidence, stands, BODY)
-    assert abs(np.degrees(sensor_tilt([person]))) < 0.5
+    assert abs(tilt_of(walking(0.0, 0.01)[1])) < 0.5
+
+
+def test_one_frame_after_another_shows_what_all_of_them_do() -> None:
+    _, positions = walking(-5.0, 0.01)
+    person, known = TiltEvidence(KINECT_V1), np.ones((1, len(KINECT_V1)))
+    for frame in positions:
+        person.add(frame[None], known, np.array([1.0 / 30.0]))
+    found = np.degrees(sensor_tilt([person]))
+    assert found == pytest.approx(tilt_of(positions), abs=1e-9)
 
 
 @pytest.mark.parametrize("raised", [0.0, 0.15])
 def test_people_of_a_recording_share_the_tilt(raised: float) -> None:
     """The sensor may have misplaced the feet of one by a height of their own."""
-    time, positions = walking(-5.0, 0.01)
-    confidence = np.ones(positions.shape[:2])
-    stands = find_stance(time, positions, confidence, KINECT_V1)
-    walker = Stood(positions, confidence, stands, BODY)
-    still = np.repeat(positions[:1] + np.array([0.5, raised, 0.0]), len(time), axis=0)
-    bystander = Stood(still, confidence, ~np.zeros_like(stands), BODY)
-    assert sensor_tilt([bystander]) == 0.0
-    for people in ([walker, bystander], [bystander, walker]):
-        assert np.degrees(sensor_tilt(people)) == pytest.approx(-5.0, abs=1.0)
+    _, walker = walking(-5.0, 0.01)
+    still = np.repeat(walker[20:21] + np.array([0.5, raised, 0.0]), len(walker), axis=0)
+    assert tilt_of(still) == 0.0
+    for people in ([walker, still], [still, walker]):
+        assert tilt_of(*people) == pytest.approx(-5.0, abs=1.0)
 
 
 def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
@@ -71,30 +83,22 @@ def standing(lean: float = 3.0, turned: float = 0.0) -> Array:
     return np.tile(facing.restore(posture), (60, 1, 1))
 
 
-def _tilt_of(positions: Array, confidence: float = 1.0) -> float:
-    known = np.full(positions.shape[:2], confidence)
-    always = np.ones((len(positions), 2), dtype=bool)
-    return float(np.degrees(sensor_tilt([Stood(positions, known, always, BODY)])))
-
-
 @pytest.mark.parametrize("tilt", [-12.0, -6.0, -3.0, 5.0, 9.0])
 @pytest.mark.parametrize("turned", [-20.0, 0.0, 15.0])
 def test_the_tilt_is_found_by_someone_who_stands(tilt: float, turned: float) -> None:
     positions = leveled(standing(turned=turned), -np.radians(tilt))
-    assert _tilt_of(positions) == pytest.approx(tilt, abs=1.5)
+    assert tilt_of(positions) == pytest.approx(tilt, abs=1.5)
 
 
 def test_who_leans_a_little_or_stands_otherwise_shows_no_tilt() -> None:
-    assert _tilt_of(standing()) == 0.0
-    assert _tilt_of(standing(lean=0.0)) == pytest.approx(0.0, abs=0.1)
-    assert -0.7 < _tilt_of(standing(lean=4.6)) < 0.0  # as far as anyone in mocap
+    assert tilt_of(standing()) == 0.0
+    assert tilt_of(standing(lean=0.0)) == pytest.approx(0.0, abs=0.1)
+    assert -0.7 < tilt_of(standing(lean=4.6)) < 0.0  # as far as anyone in mocap
     tilted = leveled(standing(), np.radians(8.0))
-    assert _tilt_of(tilted) != 0.0
-    assert _tilt_of(tilted, confidence=0.0) == 0.0  # feet that were never seen
-    assert _tilt_of(tilted[:10]) == 0.0
-    assert _tilt_of(leveled(standing(turned=60.0), np.radians(8.0))) == 0.0
-    swaying = np.concatenate([leveled(tilted, np.radians(a)) for a in (0.0, 4.0)])
-    assert _tilt_of(swaying) == 0.0
+    assert tilt_of(tilted) == pytest.approx(-8.0, abs=1.5)
+    assert tilt_of(tilted, confidence=0.0) == 0.0  # feet that were never seen
+    assert tilt_of(tilted, by_kinect=False) == 0.0
+    assert tilt_of(tilted[:3]) == 0.0
 
 
 @recorded

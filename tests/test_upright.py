@@ -15,6 +15,7 @@ from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.clean_result import CleanResult
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.look.comparison import in_clip_frame
+from kinefilter.pipeline.target.floor import leveled
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ def standing(arms: str) -> Take:
         for joint, far in (("Elbow", 0.28), ("Wrist", 0.53), ("Hand", 0.6)):
             place = shoulder + far * np.array(ARMS[arms]) * [1.0, 1.0, -1.0]
             positions[:, KINECT_V1.index(joint + side)] = place
+    # The scripted person leans forward farther than anyone in mocap.
+    positions = leveled(positions, np.radians(2.5))
     positions += np.random.default_rng(0).normal(scale=0.005, size=positions.shape)
     return Take(take.time[:90], positions, take.state[:90], KINECT_V1, arms)
 

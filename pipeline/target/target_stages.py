@@ -24,6 +24,7 @@ from .foot_pitch import PitchTracker, flat_angle, foot_pitches
 from .possible_postures import even_turns, possible_joints, possible_knees
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
+from .tilt import TiltEvidence, sensor_tilt
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
@@ -37,6 +38,8 @@ _WINDOW = 64  # frames, two seconds, after which and from which a live turn is f
 _EARLY = (1, 2, 4, 8, 16, 32)  # frames after which it is sought before that
 _WATCHED = 20 * _WINDOW  # frames after which it stays as it is
 _FEW = 1  # frames of standing straight that are enough for a live turn
+_LOOK = 0.15  # s between two looks for the tilt: poses of a tenth of a second are alike
+_TILT_TIME = 0.5  # s in which a live tilt follows what is found
 _FLOOR_TIME = 2.0  # s whose median sole is roughly the floor
 _FLOOR_NEAR = 0.5  # m: feet are off it by less, except in jumps. A guess.
 _FLOOR_FAR = 1.5  # m by which a given floor is above the feet: a mistake
@@ -110,33 +113,61 @@ class Level(SharedStage):
     """Stage that rotates the sensor's frame so that the floor is level."""
 
     name = "level"
+    continues = True
 
     def __init__(self, config: CleanConfig) -> None:
-        self._tilt = None if config.tilt is None else float(np.radians(config.tilt))
+        self._given = None if config.tilt is None else float(np.radians(config.tilt))
+
+    def start(self, body: Body) -> None:
+        """Reset the state for a new motion."""
+        self._turn, self._evidence = Turn(), TiltEvidence(body.skeleton)
+        self._ankles, _ = feet.ankles_and_toes(body.skeleton)
+        self._tilt = self._found = self._since = 0.0
+        self._moved = np.zeros(3)
 
     def step(self, draft: Draft) -> None:
-        """Level the next frame if the tilt was given."""
-        draft.tilt = 0.0 if self._tilt is None else self._tilt - draft.turn.tilt
-        draft.positions = floor.leveled(draft.positions, draft.tilt)
+        """Level the next frame by what the frames so far show of the tilt."""
+        if draft.turn != self._turn:
+            self.start(draft.body)
+            self._turn = draft.turn
+        if self._given is not None:
+            self._tilt = self._given - draft.turn.tilt
+        else:
+            self._since += draft.elapsed
+            if self._since >= _LOOK:
+                one = draft.positions[None], draft.confidence[None]
+                self._evidence.add(*one, np.array([self._since]))
+                self._found = sensor_tilt([self._evidence], by_kinect=draft.by_kinect)
+                self._since = 0.0
+            share = 1.0 - np.exp(-draft.elapsed / _TILT_TIME)
+            tilt = self._tilt + share * (self._found - self._tilt)
+            # Turned about the sensor, feet that stand would slide.
+            stand = draft.positions[self._ankles].mean(axis=0)
+            self._moved += floor.leveled(stand, self._tilt) - floor.leveled(stand, tilt)
+            self._tilt = tilt
+        draft.tilt = self._tilt
+        _level(draft)
+        draft.positions = draft.positions + self._moved
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
-        """Find the planted feet and from them the tilt, and level the takes."""
+        """Find the tilt, level the takes, and find the planted feet."""
+        before = drafts[0].unedited
+        if before:
+            tilt = before.planted.tilt
+        elif self._given is not None:
+            tilt = self._given - drafts[0].turn.tilt
+        else:
+            people = [TiltEvidence(draft.skeleton) for draft in drafts]
+            for draft, person in zip(drafts, people, strict=True):
+                elapsed = np.diff(draft.time, append=draft.time[-1])
+                person.add(draft.positions, draft.confidence, elapsed.clip(max=_LOOK))
+            tilt = sensor_tilt(people, by_kinect=drafts[0].by_kinect)
         for draft in drafts:
+            draft.tilt = tilt
+            _level(draft)
             parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
             stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
             draft.stands = np.concatenate(stances)
-        before, by_kinect = drafts[0].unedited, drafts[0].by_kinect
-        if before:
-            tilt = before.planted.tilt
-        elif self._tilt is not None:
-            tilt = self._tilt - drafts[0].turn.tilt
-        else:
-            tilt = floor.sensor_tilt([*map(_stood, drafts)], by_kinect=by_kinect)
-        for draft in drafts:
-            draft.tilt = tilt
-            draft.positions = floor.leveled(draft.positions, tilt)
-            if draft.face is not None:
-                draft.face = floor.leveled(draft.face, tilt)
 
 
 class Smooth(Stage):
@@ -371,6 +402,12 @@ def posed(draft: Draft) -> Array:
     heights = joints[..., 1]
     heights += floor.floor_penetration(heights, floor.clearances(body))[:, None]
     return joints
+
+
+def _level(draft: Draft) -> None:
+    draft.positions = floor.leveled(draft.positions, draft.tilt)
+    if draft.face is not None:
+        draft.face = floor.leveled(draft.face, draft.tilt)
 
 
 def _stood(draft: Draft) -> floor.Stood:
