@@ -9,15 +9,18 @@ import pytest
 from numpy.typing import NDArray
 from real_data import TAKES, recorded
 
-from kinefilter import CleanConfig, clean, read_take
+from kinefilter import CleanConfig, Cleaner, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
+from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.target.target_stages import Level
 from kinefilter.pipeline.target.tilt import TiltEvidence, sensor_tilt
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)
+EMPTY = np.zeros(len(KINECT_V1))
 
 
 def walking(tilt: float, noise: float) -> tuple[Array, Array]:
@@ -123,6 +126,43 @@ def test_leveling_turns_and_keeps_lengths_and_the_array() -> None:
         np.linalg.norm(turned, axis=-1), np.linalg.norm(positions, axis=-1)
     )
     np.testing.assert_allclose(leveled(turned, -0.3), positions, atol=1e-12)
+
+
+def live(time: Array, positions: Array) -> list[Draft]:
+    """Pass frames through the stages up to the leveled floor, one by one."""
+    cleaner = Cleaner(CleanConfig(method="none")).until("level")
+    cleaner.start(BODY)
+    frames = zip(positions, time, strict=True)
+    return [cleaner.step(joints, float(now)) for joints, now in frames]
+
+
+def test_live_motion_is_leveled_as_soon_as_somebody_walks() -> None:
+    time, positions = walking(-8.0, 0.005)
+    drafts = live(time, positions)
+    tilts = np.degrees([draft.tilt for draft in drafts])
+    assert tilts[0] == 0.0
+    assert tilts[-1] == pytest.approx(-8.0, abs=2.0)
+    assert np.abs(np.diff(tilts)).max() < 1.0  # it does not jump
+
+
+def test_feet_that_stand_stay_in_place_while_the_tilt_is_found() -> None:
+    time, tilted = np.arange(60) / 30.0, leveled(standing(), -np.radians(-8.0))
+    drafts = live(time, tilted)
+    assert np.degrees(drafts[-1].tilt) < -5.0
+    ankles = list(KINECT_V1.sides("Ankle"))
+    places = np.array([draft.positions[ankles].mean(axis=0) for draft in drafts])
+    np.testing.assert_allclose(places, places[:1].repeat(len(places), 0), atol=1e-3)
+
+
+def test_a_live_face_is_turned_with_the_joints() -> None:
+    level, draft = Level(CleanConfig(tilt=10.0)), Draft(KINECT_V1, 0.0, *[EMPTY] * 2)
+    level.start(BODY)
+    draft.body, draft.positions = BODY, BODY.rest_positions
+    draft.face = np.array([0.0, 0.0, -1.0])
+    level.step(draft)
+    np.testing.assert_allclose(
+        draft.face, leveled(np.array([0.0, 0.0, -1.0]), np.radians(10.0))
+    )
 
 
 def test_a_clip_from_a_tilted_sensor_stands_on_a_level_floor() -> None:
