@@ -79,24 +79,24 @@ class TiltEvidence:
         bears = feet[..., 1] < feet[..., 1].min(axis=1, keepdims=True) + _RAISED
         below = np.mean(feet, axis=1, where=bears[..., None])
         trunk = positions[:, [skeleton.root, skeleton.girdle]].mean(axis=1)
-        across, up, deep = (trunk - below).T
-        leans = np.array([np.arctan2(deep, up), np.arctan2(across, up)])
+        x, y, z = (trunk - below).T
+        leans = np.arctan2([z, x], y)
         yaw = find_yaw(positions, skeleton)
+        place = positions[:, skeleton.root][:, [0, 2]]
         _, straight, _ = posture_of(positions, skeleton)
         stands = (straight & bears).any(axis=1) & np.isfinite(yaw)
         stands &= np.abs(leans).max(axis=0) < _MOST_LEAN
-        root = positions[:, skeleton.root][:, [0, 2]]
-        stands &= np.linalg.norm(root, axis=1) > NEAREST
+        stands &= np.linalg.norm(place, axis=1) > NEAREST
         # Between feet that are apart, the trunk may be anywhere.
         apart = (feet[:, 0] - feet[:, 1])[stands].T * bears[stands].all(axis=1)
         weights = elapsed[stands] / (1.0 + (apart / _APART) ** 2)
-        root = unit(root[stands])
+        away_x, away_z = unit(place[stands]).T
         sine, cosine = np.sin(yaw[stands]), np.cos(yaw[stands])
         none, one = np.zeros_like(sine), np.ones_like(sine)
         deep, across = leans[:, stands]
-        rows = [-one, none, root[:, 1], cosine, -sine, none, deep]
+        rows = [-one, none, away_z, cosine, -sine, none, deep]
         self._add(_LEAN, np.transpose(rows), weights[2])
-        rows = [none, one, root[:, 0], sine, cosine, none, across]
+        rows = [none, one, away_x, sine, cosine, none, across]
         self._add(_LEAN, np.transpose(rows), weights[0])
 
     def _add(self, kind: int, rows: Array, elapsed: Array) -> None:
