@@ -29,6 +29,7 @@ from .failures import (
     stray_joints,
 )
 from .failures.limb_failures import guessed_knees
+from .failures.sides import LiveSides, with_toes_ahead
 from .methods import SCORERS, load
 from .progress import Progress
 from .reliability import (
@@ -127,10 +128,10 @@ class Failures(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._impossible = ImpossibleBodies(body)
+        self._impossible, self._sides = ImpossibleBodies(body), LiveSides(body.skeleton)
 
     def step(self, draft: Draft) -> None:
-        """Discard an impossible body, or stray joints.
+        """Discard an impossible body or stray joints, and swap sides back.
 
         Other failures take looking ahead to find.
         """
@@ -140,6 +141,13 @@ class Failures(Stage):
         if lost.any():
             draft.measured = np.where(lost[:, None], np.nan, draft.measured)
             draft.state = np.where(lost, np.uint8(State.NOT_TRACKED), draft.state)
+        if self._sides.swapped(draft.measured, draft.state, float(draft.time)):
+            skeleton, mirror = draft.skeleton, draft.skeleton.mirror
+            behind = draft.measured[None, mirror]
+            draft.measured = with_toes_ahead(behind, skeleton)[0]
+            draft.state = draft.state[mirror]
+            if draft.face is not None:  # nobody has one who is seen from behind
+                draft.face = np.full(3, np.nan)
 
     def whole(self, draft: Draft, progress: Progress) -> None:
         """Find and repair the failures of a take."""

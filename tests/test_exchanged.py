@@ -11,7 +11,7 @@ from skeletons import every_skeleton
 
 from kinefilter.characters import KINECT_V2, Skeleton, State, Take
 from kinefilter.pipeline.failures import FailureKind, find_failures, unmirrored
-from kinefilter.pipeline.failures.sides import EXCHANGED, put_back
+from kinefilter.pipeline.failures.exchanged_limbs import EXCHANGED, put_back
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.scenes.library import perform, random_body
 

@@ -9,9 +9,10 @@ import pytest
 from known_motions import performed, yaw_of
 from numpy.typing import NDArray
 from real_data import DATA, recorded
-from sides_figures import figures_of
+from sides_figures import figures_of, swapped_live
 from skeletons import every_skeleton
 
+from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V2, Skeleton, State, standard_body
 from kinefilter.pipeline.failures.sides import Sides, swapped_back, swapped_frames
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
@@ -62,11 +63,38 @@ def test_knees_that_the_sensor_guesses_do_not_tell_the_sides() -> None:
     assert not swapped_frames(replace(take, positions=positions, state=state)).any()
 
 
+@every_skeleton
+@pytest.mark.parametrize("motion", ["walk", "run"])
+def test_live_sides_follow_within_half_a_second(
+    skeleton: Skeleton, motion: str
+) -> None:
+    take = performed(motion, skeleton)
+    assert not swapped_live(take).any()
+    part = slice(40, 80)
+    found = swapped_live(take.swapped(part))
+    assert not found[:40].any()
+    assert found[55:80].all()
+    assert not found[95:].any()
+
+
+def test_live_motion_faces_where_somebody_walks() -> None:
+    take = performed("walk").swapped()
+    cleaner = Cleaner(CleanConfig(method="none")).until("failures")
+    cleaner.start(standard_body(KINECT_V2))
+    frames = zip(take.positions, take.time, take.state, strict=True)
+    drafts = [cleaner.step(p, float(s), state) for p, s, state in frames]
+    late = np.array([draft.measured for draft in drafts[20:]])
+    other = [j for j in range(len(KINECT_V2)) if j not in KINECT_V2.sides("Foot")]
+    np.testing.assert_array_equal(late[:, other], take.swapped().positions[20:, other])
+
+
 @pytest.mark.parametrize("motion", ["walk", "run"])
 @pytest.mark.parametrize("seed", range(3))
 def test_who_walks_backward_is_left_alone(motion: str, seed: int) -> None:
     take = performed(motion, seed=seed)
-    assert not swapped_frames(replace(take, positions=take.positions[::-1])).any()
+    back = replace(take, positions=take.positions[::-1])
+    assert not swapped_frames(back).any()
+    assert not swapped_live(back).any()
 
 
 @pytest.mark.parametrize("limb", ["left-arm", "arms", "right-leg", "legs"])
@@ -116,10 +144,12 @@ def test_recorded_walkers_have_limbs_where_another_sensor_has_them() -> None:
     paths = [DATA / "two-kinects" / f"{name}.sync.csv" for name in names]
     sessions = find_sessions(paths, None)
     figures = np.mean([figures_of(session) for session in sessions], axis=0)
-    (backward, less), (wrong, still_wrong), _ = figures.reshape(3, 2)
+    (backward, less, live), (wrong, still_wrong, wrong_live) = figures.reshape(3, 3)[:2]
     assert backward > 20.0
     assert less < 0.4 * backward
+    assert live < 0.6 * backward
     assert still_wrong < wrong + 0.5
+    assert wrong_live < wrong + 4.0
 
 
 def test_the_best_choice_so_far_ends_the_cheapest_path_so_far() -> None:

@@ -18,6 +18,7 @@ from kinefilter.pipeline.formats.plain import times_told
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 from . import bodies
+from .exchanged_limbs import EXCHANGED, exchanged_frames, put_back
 from .limb_failures import (
     LIMBS,
     bent_backwards,
@@ -27,7 +28,7 @@ from .limb_failures import (
     out_of_range,
     through_head,
 )
-from .sides import EXCHANGED, exchanged_frames, put_back, swapped_back, swapped_frames
+from .sides import swapped_back, swapped_frames
 
 _LONG = 0.8  # s: a knee bent backwards for less is noise, or a kick seen from the front
 _SHORT = 0.3  # s: an arm at an impossible place for less only brushes past it

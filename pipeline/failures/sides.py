@@ -7,21 +7,19 @@ chosen that agree best with that, and with those of other sensors, without joint
 leap from one side to the other: the cheapest path over all frames (Viterbi 1967), or,
 live, the cheapest path so far. A single sensor may have arms and legs change sides at
 different times.
-
-A sensor may also exchange the left and right of limbs alone for a while: from a frame
-to the next, both leap to each other's places, from some joint outward, and later back.
 """
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
-from itertools import combinations, pairwise, product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton, State, Take
-from kinefilter.characters.arrays import Array, Flags, Indices, chunks
+from kinefilter.characters.arrays import Array, Codes, Flags, Indices, chunks
 from kinefilter.retarget import find_yaw
 
 from .trunk import steadied
@@ -39,24 +37,14 @@ _WALKING = 0.4  # m/s of somebody who certainly walks
 _SWAPPED = 0.05  # m of mean distance: cost of each frame with swapped sides
 _CHANGE = 0.02  # m that a change costs besides the distance that joints leap
 _STRIDE = 1.0 / 3.0  # s before and after a frame that show how fast somebody walks
+# Live, on p00 to p08 alone: joints that leap count less, swapped sides cost more, and
+# less time shows how somebody walks. Otherwise sides that change late stay wrong.
+_LIVE_CONTINUITY, _LIVE_SWAPPED, _LIVE_STRIDE = 1.0, 0.1, 0.4
 _LEAST_WEIGHT = 1e-3  # of a joint that is not tracked
 _APART = 0.1  # cost of each frame in which only arms or only legs are swapped
 _CONTINUITY = 5.0  # weight of the distance that joints move from frame to frame
 _LEAP = 3.0  # weight of the distance that they move between twice ``_AROUND``
 _AROUND = 0.1  # s before and after a change
-# Of limbs alone: chosen on p00 to p08 of two-kinects, with limbs exchanged in them, and
-# on s02, s03 and s04 of UI-PRMD.
-_ACROSS = 0.1  # m that joints leap to the other side at least
-_NEARER = 0.6  # share of that by which they miss the other side's place at most
-
-EXCHANGED = {
-    "arms from the shoulders": ("Hip", "Shoulder"),
-    "arms from the elbows": ("Shoulder", "Elbow"),
-    "arms from the wrists": ("Elbow", "Wrist"),
-    "legs from the knees": ("Hip", "Knee"),
-    "legs from the ankles": ("Knee", "Ankle"),
-}
-"""Parts that may be exchanged: the last joint that stays, and the first that leaps."""
 
 
 class CheapestPath:
@@ -104,6 +92,8 @@ class CheapestPath:
 class Sides(CheapestPath):
     """Follows which of some sensors have left and right swapped, flags (S,)."""
 
+    _continuity, _swapped = _CONTINUITY, _SWAPPED
+
     def __init__(self, skeleton: Skeleton, sensors: int) -> None:
         self._skeleton, self._mirror = skeleton, skeleton.mirror
         self._paired = np.flatnonzero(self._mirror != np.arange(len(skeleton)))
@@ -141,15 +131,54 @@ class Sides(CheapestPath):
         ways = np.zeros((count, *self._changes.shape[:2]))
         for s, changes in enumerate(np.moveaxis(self._changes, -1, 0)):
             moved = np.where(changes, other[:, s, None, None], same[:, s, None, None])
-            ways += _CONTINUITY * moved
+            ways += self._continuity * moved
         facing = _facing(seen.reshape(-1, *seen.shape[2:]), self._skeleton)[1]
-        costs = (_SWAPPED + _FACING * facing.reshape(count, -1)) @ choices.T
+        costs = (self._swapped + _FACING * facing.reshape(count, -1)) @ choices.T
         for s, k in combinations(range(sensors), 2):
             both, alike = sure[:, s] * sure[:, k], choices[:, s] == choices[:, k]
             same = _distance(as_given[:, s], as_given[:, k], both)
             other = _distance(as_given[:, s], mirrored[:, k], both)
             costs += np.where(alike, same[:, None], other[:, None])
         return zip(ways, costs, strict=True)
+
+
+class LiveSides(Sides):
+    """Follows whether the only sensor has left and right swapped, frame by frame."""
+
+    _continuity, _swapped = _LIVE_CONTINUITY, _LIVE_SWAPPED
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        super().__init__(skeleton, 1)
+
+    def start(self) -> None:
+        """Reset the state for a new motion."""
+        super().start()
+        self._places: deque[tuple[float, Array]] = deque()
+        self._velocity = np.zeros(3)
+
+    def swapped(self, seen: Array, state: Codes, time: float) -> bool:
+        """Return whether the sides of a frame are swapped, as far as can be said.
+
+        Joints [m] (J, 3) are NaN where missing, states (State) (J,); time stamp [s].
+        """
+        places, root = self._places, seen[self._skeleton.root]
+        if np.isfinite(root).all():
+            places.append((time, root))
+        while len(places) > 2 and places[1][0] <= time - _LIVE_STRIDE:
+            places.popleft()
+        if len(places) > 1:
+            (then, there), (now, here) = places[0], places[-1]
+            self._velocity = (here - there) / max(now - then, 0.5 * _LIVE_STRIDE)
+        weights = np.where(state == State.TRACKED, 1.0, _LEAST_WEIGHT)
+        seen = _without_guessed_knees(seen[None], state[None], self._skeleton)[0]
+        return bool(self.step(seen[None], weights[None])[0])
+
+    def _costs(self, seen: Array, weights: Array) -> Iterable[tuple[Array, Array]]:
+        """Yield what sides cost in the next frame, also to walk backward."""
+        forward = _direction(find_yaw(seen[:, 0], self._skeleton))
+        walk = _FACING * _walking(self._velocity, forward)[0]
+        for ways, costs in super()._costs(seen, weights):
+            yield ways, costs + walk * self._choices[:, 0]
 
 
 def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
@@ -178,6 +207,26 @@ def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     return forward, np.asarray(sure * np.clip(np.nan_to_num(upright), 0.0, 1.0))
 
 
+def _walking(velocity: Array, forward: Array) -> Array:
+    """Return how surely bodies walk forward, negative if backward, (N,).
+
+    Velocities [m/s] and directions are (N, 3).
+    """
+    along = np.nan_to_num(np.vecdot(velocity / _WALKING, forward))
+    return np.asarray(_WALK * along.clip(-1.0, 1.0))
+
+
+def _without_guessed_knees(seen: Array, state: Codes, skeleton: Skeleton) -> Array:
+    """Return joints (T, J, 3) without knees that a sensor guesses behind a desk.
+
+    They bend backward there.
+    """
+    seen, knees = seen.copy(), skeleton.sides("Knee")
+    guessed = (state[:, knees] != State.TRACKED).all(axis=1)
+    seen[np.ix_(guessed, knees)] = np.nan
+    return seen
+
+
 def _direction(yaw: Array) -> Array:
     """Return the horizontal unit vectors of headings (...), shape (..., 3)."""
     return np.stack([np.sin(yaw), np.zeros_like(yaw), np.cos(yaw)], axis=-1)
@@ -204,14 +253,10 @@ def swapped_frames(take: Take) -> Flags:
     Both face the same way, but may change sides at different times.
     """
     choices = np.array(list(product((False, True), repeat=2)))
-    # Behind a desk, a sensor guesses knees that bend backward.
-    seen, knees = take.positions.copy(), take.skeleton.sides("Knee")
-    guessed = (take.state[:, knees] != State.TRACKED).all(axis=1)
-    seen[np.ix_(guessed, knees)] = np.nan
+    seen = _without_guessed_knees(take.positions, take.state, take.skeleton)
     forward, facing = _facing(seen, take.skeleton)
     root = take.positions[:, take.skeleton.root]
-    velocity = root_velocity(take.time, root) / _WALKING
-    facing += _WALK * np.nan_to_num(np.vecdot(velocity, forward)).clip(-1.0, 1.0)
+    facing += _walking(root_velocity(take.time, root), forward)
     costs = np.outer(_SWAPPED + _FACING * facing, choices.mean(axis=1))
     costs += _APART * (choices[:, 0] != choices[:, 1])
     ways = np.zeros((len(take), 4, 4))
@@ -279,63 +324,18 @@ def swapped_back(take: Take, swapped: Flags) -> Take:
     changes = np.flatnonzero(np.diff(frames)) + 1
     positions = steadied(mended, changes.tolist()).positions.copy()
     some = frames | legs
-    forward = _direction(find_yaw(positions, skeleton)[some])
-    for foot in skeleton.sides("Foot"):
-        toes, ankle = positions[some, foot], positions[some, skeleton.parents[foot]]
-        back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
-        positions[some, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
+    positions[some] = with_toes_ahead(positions[some], skeleton)
     return replace(mended, positions=positions)
 
 
-def exchanged_joints(skeleton: Skeleton, part: str) -> Indices:
-    """Return the joints of a part of EXCHANGED, on both sides."""
-    first = skeleton.sides(EXCHANGED[part][1])
-    return np.array([j for k in first for j in (k, *skeleton.descendants(k))])
-
-
-def exchanged_frames(take: Take, part: str) -> Flags:
-    """Return where a take has left and right of a part of EXCHANGED exchanged, (T,).
-
-    Between two leaps, or up to an end of the take, the limbs are attached crosswise.
-    """
-    skeleton = take.skeleton
-    joints = exchanged_joints(skeleton, part)
-    last, first = (np.array(skeleton.sides(name)) for name in EXCHANGED[part])
-    paired = np.flatnonzero(skeleton.mirror != np.arange(len(skeleton)))
-    rest = np.setdiff1d(paired, joints)
-    leap = np.ones(len(take) - 1, dtype=bool)
-    for some in (first, joints):
-        same, other = _moved(take, some)
-        leap &= (same > _ACROSS) & (other < _NEARER * same)
-    for some in (last, rest):
-        same, other = _moved(take, some)
-        leap &= same < other
-    straight, crosswise = (
-        np.linalg.norm(take.positions[:, last] - ends, axis=2).sum(axis=1)
-        for ends in (take.positions[:, first], take.positions[:, first[::-1]])
-    )
-    frames = np.zeros(len(take), dtype=bool)
-    ends = (np.flatnonzero(leap) + 1).tolist()
-    for begin, end in pairwise([0, *ends, len(take)] if ends else ()):
-        frames[begin:end] = np.mean(crosswise[begin:end] < straight[begin:end]) > 0.5
-    return frames
-
-
-def _moved(take: Take, joints: Indices) -> tuple[Array, Array]:
-    """Return how far joints are from where they and the other side were before [m]."""
-    seen, before = take.positions, (joints, take.skeleton.mirror[joints])
-    ways = [np.linalg.norm(seen[1:, joints] - seen[:-1, k], axis=2) for k in before]
-    known = np.asarray(np.isfinite(ways).all(axis=0))
-    count = np.where(known.any(axis=1), known.sum(axis=1), np.nan)
-    same, other = (np.where(known, way, 0.0).sum(axis=1) / count for way in ways)
-    return same, other
-
-
-def put_back(take: Take, part: str, frames: slice) -> Take:
-    """Return a take with left and right of a part of EXCHANGED put back in frames."""
-    joints = exchanged_joints(take.skeleton, part)
-    flags = np.isin(np.arange(len(take.skeleton)), joints)
-    return with_joints(take, take.swapped(frames), flags)
+def with_toes_ahead(positions: Array, skeleton: Skeleton) -> Array:
+    """Return joints [m] (T, J, 3) with toes that point backward mirrored forward."""
+    forward, turned = _direction(find_yaw(positions, skeleton)), positions.copy()
+    for foot in skeleton.sides("Foot"):
+        toes, ankle = positions[:, foot], positions[:, skeleton.parents[foot]]
+        back = np.fmin(np.vecdot(toes - ankle, forward), 0.0)
+        turned[:, foot] = toes - 2.0 * back[:, None] * np.nan_to_num(forward)
+    return turned
 
 
 def with_joints(take: Take, other: Take, joints: Flags) -> Take:
