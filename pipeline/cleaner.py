@@ -41,15 +41,8 @@ from .stages import (
     Standardize,
 )
 from .target.aim_stages import AimHands, AimHead, Orient
-from .target.target_stages import (
-    Bones,
-    Feet,
-    Floor,
-    Level,
-    Ranges,
-    Smooth,
-    Upright,
-)
+from .target.frame_stages import Floor, Level, Upright
+from .target.target_stages import Bones, Feet, Ranges, Smooth
 
 _Passing = tuple[Take, Any, Draft]  # recorded frames, index of all, working state
 _LONGEST_STEP = 0.5  # s; a longer pause in the stream counts as this much motion

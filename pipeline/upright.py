@@ -17,7 +17,7 @@ from kinefilter.characters.rotations import unit
 
 _STRAIGHT = np.cos(np.radians(30.0))
 """Cosine of the largest angle between shank, thigh and trunk in standing. A guess."""
-HANGING = 0.8  # share of its length that a hanging arm reaches down. A guess.
+_HANGING = 0.8  # share of its length that a hanging arm reaches down. A guess.
 _ORDINARY = {"both": np.radians(15.0), "either": np.radians(20.0)}
 """Angle to the vertical [rad] up to which nothing is done, if both legs or at least one
 are straight often enough. With sensors as people set them up, 1,254 clips of 20 people
@@ -114,7 +114,7 @@ def _turn_from(along: Array, straight: Flags, down: Array, least: int) -> Turn:
     if lean < _OVER:
         # Arms over the head do not carry the person either.
         down = down if lean > _TILTED else np.abs(down)
-        sure &= np.mean(down.max(axis=1) > HANGING) >= _HANGS
+        sure &= np.mean(down.max(axis=1) > _HANGING) >= _HANGS
     else:
         sure &= np.mean(down.max(axis=1) > _CARRYING) > 1.0 - _AGREEMENT
     if not sure or _TILTED < lean < _OVER:

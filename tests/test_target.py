@@ -34,13 +34,8 @@ from kinefilter.pipeline.target.feet import (
     flat_height,
     planted_feet,
 )
-from kinefilter.pipeline.target.target_stages import (
-    Bones,
-    Feet,
-    Floor,
-    Level,
-    Smooth,
-)
+from kinefilter.pipeline.target.frame_stages import Floor, Level
+from kinefilter.pipeline.target.target_stages import Bones, Feet, Smooth
 from kinefilter.retarget import BoneLengths
 from kinefilter.scenes.library import perform
 

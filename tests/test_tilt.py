@@ -13,7 +13,7 @@ from kinefilter import CleanConfig, Cleaner, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.target.floor import leveled
-from kinefilter.pipeline.target.target_stages import Level
+from kinefilter.pipeline.target.frame_stages import Level
 from kinefilter.pipeline.target.tilt import TiltEvidence, sensor_tilt
 from kinefilter.retarget import HeadingFrame
 from kinefilter.scenes.library import perform

@@ -72,7 +72,7 @@ def errors(pair: PairedTake, tilt: float) -> Array:
     return np.array(rows)
 
 
-def told(file: Path) -> tuple[str, Array] | None:
+def figures_of(file: Path) -> tuple[str, Array] | None:
     """Return the person of a recording, and its numbers for each tilt."""
     (pair,) = recorded_pairs(file)
     if pair.take.time[-1] - pair.take.time[0] <= _BEGINS:
@@ -85,7 +85,7 @@ def main() -> None:
     parser.add_argument("files", type=Path, nargs="+")
     people = defaultdict(list)
     with workers() as pool:
-        for one in pool.map(told, sorted(parser.parse_args().files)):
+        for one in pool.map(figures_of, sorted(parser.parse_args().files)):
             if one is not None:
                 people[one[0]].append(one[1])
     means = np.mean([np.mean(found, axis=0) for found in people.values()], axis=0)

@@ -132,7 +132,7 @@ class Sides(CheapestPath):
         for s, changes in enumerate(np.moveaxis(self._changes, -1, 0)):
             moved = np.where(changes, other[:, s, None, None], same[:, s, None, None])
             ways += self._continuity * moved
-        facing = _facing(seen.reshape(-1, *seen.shape[2:]), self._skeleton)[1]
+        facing = self._facing(seen.reshape(-1, *seen.shape[2:]))
         costs = (self._swapped + _FACING * facing.reshape(count, -1)) @ choices.T
         for s, k in combinations(range(sensors), 2):
             both, alike = sure[:, s] * sure[:, k], choices[:, s] == choices[:, k]
@@ -140,6 +140,10 @@ class Sides(CheapestPath):
             other = _distance(as_given[:, s], mirrored[:, k], both)
             costs += np.where(alike, same[:, None], other[:, None])
         return zip(ways, costs, strict=True)
+
+    def _facing(self, seen: Array) -> Array:
+        """Return how surely bodies (N, J, 3) face as given, negative if not, (N,)."""
+        return _facing(seen, self._skeleton)[1]
 
 
 class LiveSides(Sides):
@@ -173,12 +177,10 @@ class LiveSides(Sides):
         seen = _without_guessed_knees(seen[None], state[None], self._skeleton)[0]
         return bool(self.step(seen[None], weights[None])[0])
 
-    def _costs(self, seen: Array, weights: Array) -> Iterable[tuple[Array, Array]]:
-        """Yield what sides cost in the next frame, also to walk backward."""
-        forward = _direction(find_yaw(seen[:, 0], self._skeleton))
-        walk = _FACING * _walking(self._velocity, forward)[0]
-        for ways, costs in super()._costs(seen, weights):
-            yield ways, costs + walk * self._choices[:, 0]
+    def _facing(self, seen: Array) -> Array:
+        """Return how surely the body faces as given, also by how it walks, (1,)."""
+        forward, facing = _facing(seen, self._skeleton)
+        return facing + _walking(self._velocity, forward)
 
 
 def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """The target that the character is pulled through: the corrected motion on its floor.
 
-``smooth`` removes trembling, ``floor`` finds the floor, the sensor's tilt and the
-placement in a scene, ``feet`` finds planted feet and holds them in place.
+``tilt`` finds the sensor's tilt, ``smooth`` removes trembling, ``floor`` finds the
+floor and the placement in a scene, ``feet`` finds planted feet, ``planting`` holds
+them in place.
 """

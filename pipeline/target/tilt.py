@@ -108,8 +108,8 @@ def sensor_tilt(people: Sequence[TiltEvidence], *, by_kinect: bool = True) -> fl
     """Return the angle [rad] about x that levels the floor, 0 if it is unknown.
 
     People of a recording share it. The sensor misplaces the feet of each by a height of
-    their own. What is found counts fully from twice its standard error on, and not
-    at all below one. Leans count only before a Kinect.
+    their own. An estimate below its standard error counts as 0, and counts fully only
+    above twice that error. Leans count only before a Kinect.
     """
     size = _SHARED + _OWN * len(people)
     own = [[0, 1, 2, *range(k, k + _OWN)] for k in range(_SHARED, size, _OWN)]
