@@ -84,10 +84,10 @@ def result_of(
     is the index that restores all.
     """
     far = far_joints(take.positions)
-    measured = to_world(draft.measured, draft.tilt, draft.floor)
+    measured = to_world(draft.measured, draft.tilt, draft.floor, draft.roll)
     moved_by_correction = distances(draft.posed, measured)
     measured[moved_by_pins(edits, draft.time, take.skeleton)] = np.nan
-    tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll
+    tilt, roll = draft.turn.tilt + draft.tilt, draft.turn.roll + draft.roll
     raw = to_world(recorded.positions, tilt, draft.floor, roll)
     motions = {"raw": raw, "corrected": draft.posed}
     final, force = draft.posed, np.full(len(raw), np.nan)
@@ -165,7 +165,7 @@ def _notes(draft: Draft) -> Iterable[str]:
     gone = [(since[k.start], since[k.stop - 1]) for k in runs(nobody)]
     if gone := [(begin, end) for begin, end in gone if end - begin > _GONE]:
         yield f"nobody in view, so a guess: {times_told(gone)}"
-    yield from draft.turn.notes(draft.tilt)
+    yield from draft.turn.notes(draft.tilt, draft.roll)
     if draft.turn.roll:
         yield "--tilt 0 leaves the sensor's frame as it is"
     if draft.trace is not None and draft.trace.reset.any():

@@ -66,7 +66,8 @@ class Draft:
     stands: Flags = field(init=False)  # which foot (left, right) is planted, (2,)
     contacts: Flags = field(init=False)  # planted parts (CONTACTS), (4,); takes only
     turn: Turn = field(default_factory=Turn)  # how the sensor frame was set upright
-    tilt: float = 0.0  # angle [rad] about x by which the frame was leveled after that
+    roll: float = 0.0  # angle [rad] about z by which the frame was leveled after that
+    tilt: float = 0.0  # angle [rad] about x, after the roll
     floor: float = 0.0  # height of the floor in the leveled sensor frame [m]
     bone_weights: Array = field(init=False)  # how firmly joints keep places, (J,)
     rotations: Array = field(init=False)  # world segment rotations, wxyz, shape (J, 4)

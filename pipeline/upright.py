@@ -54,17 +54,19 @@ class Turn:
     tilt: float = 0.0  # angle about x [rad], applied second
     doubt: str = ""  # warning that the frame may be wrong, although left as it is
 
-    def notes(self, leveled: float = 0.0) -> tuple[str, ...]:
-        """Return notes for the user; the frame was also leveled by an angle [rad]."""
-        tilt, notes = np.degrees(self.tilt + leveled), [self.doubt] * bool(self.doubt)
+    def notes(self, tilt: float = 0.0, roll: float = 0.0) -> tuple[str, ...]:
+        """Return notes for the user; the frame was also leveled by two angles [rad]."""
+        tilt, notes = np.degrees(self.tilt + tilt), [self.doubt] * bool(self.doubt)
         if self.roll:
             what = "upside down" if abs(self.roll) > np.pi / 2.0 else "tilted"
             then = f", then by {tilt:+.1f} about x" if tilt else ""
             turned = f"{np.degrees(self.roll):+.1f} degrees about z{then}"
             note = f"the sensor was {what}, judging by how the person stands; "
             notes.insert(0, f"{note}frames were rotated by {turned}")
-        elif tilt:
-            notes.insert(0, f"the sensor was tilted by {tilt:+.1f} degrees")
+        elif tilt or roll:
+            angles = (("tilted", tilt), ("rolled", np.degrees(roll)))
+            found = [f"{what} by {by:+.1f} degrees" for what, by in angles if by]
+            notes.insert(0, f"the sensor was {' and '.join(found)}")
         return tuple(notes)
 
 

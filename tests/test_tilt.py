@@ -39,7 +39,7 @@ def tilt_of(*people: Array, confidence: float = 1.0, by_kinect: bool = True) -> 
         known = np.full(positions.shape[:2], confidence)
         person.add(positions, known, np.full(len(positions), 1.0 / 30.0))
         found.append(person)
-    return float(np.degrees(sensor_tilt(found, by_kinect=by_kinect)))
+    return float(np.degrees(sensor_tilt(found, by_kinect=by_kinect)[0]))
 
 
 @pytest.mark.parametrize("by_kinect", [True, False])
@@ -51,6 +51,22 @@ def test_the_tilt_is_found_under_someone_who_walks(
     assert tilt_of(positions, by_kinect=by_kinect) == pytest.approx(tilt, abs=1.0)
 
 
+@pytest.mark.parametrize("roll", [-6.0, 2.0])
+def test_the_roll_is_found_under_someone_who_walks_across(roll: float) -> None:
+    time, away = walking(0.0, 0.005)
+    across = away[..., [2, 1, 0]] * [1.0, 1.0, -1.0] + [2.5, 0.0, -2.5]
+    rolled = leveled(across, 0.0, -np.radians(roll))
+    state = np.full(rolled.shape[:2], State.TRACKED, dtype=np.uint8)
+    take = Take(time, rolled, state, KINECT_V1, "sensor.csv")
+    result = clean(take, CleanConfig(method="none", physics=False))
+    found = np.degrees(result.clip.roll)
+    assert found == pytest.approx(roll, abs=1.0)
+    assert f"rolled by {found:+.1f} degrees" in " ".join(result.notes)
+    hips = result.clip.positions[:, KINECT_V1.root]
+    slope = np.polyfit(hips[:, 0], hips[:, 1], 1)[0]
+    assert abs(np.degrees(slope)) < 1.0
+
+
 def test_a_level_sensor_stays_as_it_is() -> None:
     assert abs(tilt_of(walking(0.0, 0.01)[1])) < 0.5
 
@@ -60,7 +76,7 @@ def test_one_frame_after_another_shows_what_all_of_them_do() -> None:
     person, known = TiltEvidence(KINECT_V1), np.ones((1, len(KINECT_V1)))
     for frame in positions:
         person.add(frame[None], known, np.array([1.0 / 30.0]))
-    found = np.degrees(sensor_tilt([person]))
+    found = np.degrees(sensor_tilt([person])[0])
     assert found == pytest.approx(tilt_of(positions), abs=1e-9)
 
 

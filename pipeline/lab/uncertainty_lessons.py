@@ -80,7 +80,7 @@ def lessons(
             blind = _without_a_limb(blind, start, len(pair.take), pair.clip)
         for take in (case.take, blind):
             draft = cleaner.whole(take, silent)
-            away = draft.positions - leveled(mocap, draft.tilt)
+            away = draft.positions - leveled(mocap, draft.tilt, draft.roll)
             away -= away[:, skeleton.hips].mean(axis=1, keepdims=True)
             away = away[:, uncertainty.judged(skeleton)]
             parts.append((*uncertainty.describe(draft), away))

@@ -295,10 +295,9 @@ def laid_onto_clip(take: Take, clip: Clip | Take) -> Array:
     if not np.isfinite(raw).any():
         raise InputError("the take has no joint at the times of the clip")
     place = placement(raw, clip.positions)
-    _, up, ahead = (place.apply(np.eye(3)) - place.apply(np.zeros(3)))[:, 1]
-    roll = np.pi if up < 0.0 else 0.0
-    tilt = float(np.arctan2(-ahead, abs(up)))
-    tilt = tilt if abs(tilt) > _LEAST_TILT else 0.0
+    left, up, ahead = (place.apply(np.eye(3)) - place.apply(np.zeros(3)))[:, 1]
+    angles = np.arctan2([-ahead, left], [np.hypot(left, up), up])
+    tilt, roll = np.where(np.abs(angles) > _LEAST_TILT, angles, 0.0).tolist()
     off = leveled(raw, tilt, roll)[..., 1] - clip.positions[..., 1]
     return to_world(take.positions, tilt, float(np.nanmedian(off)), roll)
 

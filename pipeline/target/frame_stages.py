@@ -91,49 +91,48 @@ class Level(SharedStage):
         """Reset the state for a new motion."""
         self._turn, self._evidence = Turn(), TiltEvidence(body.skeleton)
         self._ankles, _ = feet.ankles_and_toes(body.skeleton)
-        self._tilt = self._found = self._since = 0.0
+        self._angles, self._found, self._since = np.zeros(2), np.zeros(2), 0.0
         self._moved = np.zeros(3)
 
     def step(self, draft: Draft) -> None:
-        """Level the next frame by what the frames so far show of the tilt."""
+        """Level the next frame by what the frames so far show of tilt and roll."""
         if draft.turn != self._turn:
             self.start(draft.body)
             self._turn = draft.turn
         if self._given is not None:
-            self._tilt = self._given - draft.turn.tilt
+            self._angles = np.array([self._given - draft.turn.tilt, 0.0])
         else:
             self._since += draft.elapsed
             if self._since >= _LOOK:
                 one = draft.positions[None], draft.confidence[None]
                 self._evidence.add(*one, np.array([self._since]))
-                self._found = sensor_tilt([self._evidence], by_kinect=draft.by_kinect)
+                self._found = _found([self._evidence], draft)
                 self._since = 0.0
             share = 1.0 - np.exp(-draft.elapsed / _TILT_TIME)
-            tilt = self._tilt + share * (self._found - self._tilt)
+            angles = self._angles + share * (self._found - self._angles)
             # Turned about the sensor, feet that stand would slide.
             stand = draft.positions[self._ankles].mean(axis=0)
-            self._moved += floor.leveled(stand, self._tilt) - floor.leveled(stand, tilt)
-            self._tilt = tilt
-        draft.tilt = self._tilt
-        _level(draft)
+            self._moved += floor.leveled(stand, *self._angles)
+            self._moved -= floor.leveled(stand, *angles)
+            self._angles = angles
+        _level(draft, self._angles)
         draft.positions = draft.positions + self._moved
 
     def together(self, drafts: Sequence[Draft], progress: Progress) -> None:
-        """Find the tilt, level the takes, and find the planted feet."""
+        """Find tilt and roll, level the takes, and find the planted feet."""
         before = drafts[0].unedited
         if before:
-            tilt = before.planted.tilt
+            angles = np.array([before.planted.tilt, before.planted.roll])
         elif self._given is not None:
-            tilt = self._given - drafts[0].turn.tilt
+            angles = np.array([self._given - drafts[0].turn.tilt, 0.0])
         else:
             people = [TiltEvidence(draft.skeleton) for draft in drafts]
             for draft, person in zip(drafts, people, strict=True):
                 elapsed = np.diff(draft.time, append=draft.time[-1])
                 person.add(draft.positions, draft.confidence, elapsed.clip(max=_LOOK))
-            tilt = sensor_tilt(people, by_kinect=drafts[0].by_kinect)
+            angles = _found(people, drafts[0])
         for draft in drafts:
-            draft.tilt = tilt
-            _level(draft)
+            _level(draft, angles)
             parts = [(p.time, p.positions, p.confidence) for p in draft.parts]
             stances = [feet.find_stance(*part, draft.skeleton) for part in parts]
             draft.stands = np.concatenate(stances)
@@ -202,10 +201,19 @@ class Floor(SharedStage):
             draft.stands = feet.on_floor(draft.positions, draft.stands, draft.body)
 
 
-def _level(draft: Draft) -> None:
-    draft.positions = floor.leveled(draft.positions, draft.tilt)
+def _found(people: Sequence[TiltEvidence], draft: Draft) -> Array:
+    """Return the tilt and roll [rad] that people show, (2,)."""
+    angles = sensor_tilt(people, by_kinect=draft.by_kinect)
+    if draft.turn.tilt or draft.turn.roll:
+        angles[1] = 0.0  # one roll and then one tilt make the whole turn
+    return angles
+
+
+def _level(draft: Draft, angles: Array) -> None:
+    draft.tilt, draft.roll = map(float, angles)
+    draft.positions = floor.leveled(draft.positions, draft.tilt, draft.roll)
     if draft.face is not None:
-        draft.face = floor.leveled(draft.face, draft.tilt)
+        draft.face = floor.leveled(draft.face, draft.tilt, draft.roll)
 
 
 def _stood(draft: Draft) -> floor.Stood:

@@ -1,9 +1,10 @@
-"""The tilt of a sensor, from how people stand and walk before it.
+"""The tilt and roll of a sensor, from how people stand and walk before it.
 
-Most sensors look down a little. Two things show it: feet that get lower or higher with
-their distance, and people who lean. Whoever walks or stands is upright on average,
-apart from a lean of their own, which turns with them. All of it is one linear least
-squares problem with a prior for each unknown, and its sums grow frame by frame.
+Most sensors look down a little, and many stand a degree or two askew. Two things show
+it: feet that get lower or higher as they walk away or across, and people who lean.
+Whoever walks or stands is upright on average, apart from a lean of their own, which
+turns with them. All of it is one linear least squares problem with a prior for each
+unknown, and its sums grow frame by frame.
 
 Joint positions [m] have y up, in the frame of the sensor, and shape (T, J, 3).
 """
@@ -69,7 +70,7 @@ class TiltEvidence:
         some &= positions[:, self._skeleton.root, 1] - foot[:, 1] > _LEGS
         foot, both = foot[some], some & seen.all(axis=1)
         nothing, one = np.zeros(len(foot)), np.ones(len(foot))
-        rows = [foot[:, 2], *[nothing] * 4, one, foot[:, 1]]
+        rows = [foot[:, 2], -foot[:, 0], *[nothing] * 3, one, foot[:, 1]]
         self._add(_HEIGHT, np.transpose(rows), elapsed[some])
         self._add_leans(positions[both], elapsed[both])
 
@@ -104,12 +105,12 @@ class TiltEvidence:
         self.seconds[kind] += elapsed.sum()
 
 
-def sensor_tilt(people: Sequence[TiltEvidence], *, by_kinect: bool = True) -> float:
-    """Return the angle [rad] about x that levels the floor, 0 if it is unknown.
+def sensor_tilt(people: Sequence[TiltEvidence], *, by_kinect: bool = True) -> Array:
+    """Return the angles [rad] about x and z that level the floor, 0 if unknown, (2,).
 
-    People of a recording share it. The sensor misplaces the feet of each by a height of
-    their own. An estimate below its standard error counts as 0, and counts fully only
-    above twice that error. Leans count only before a Kinect.
+    People of a recording share them. The sensor misplaces the feet of each by a height
+    of their own. An estimate below its standard error counts as 0, and counts fully
+    only above twice that error. Leans count only before a Kinect.
     """
     size = _SHARED + _OWN * len(people)
     own = [[0, 1, 2, *range(k, k + _OWN)] for k in range(_SHARED, size, _OWN)]
@@ -132,6 +133,6 @@ def sensor_tilt(people: Sequence[TiltEvidence], *, by_kinect: bool = True) -> fl
             squares = np.einsum("i,kij,j->k", signs, person.products, signs)
             squares = np.maximum(squares, 0.0) + _USUAL_TIME * _USUAL_NOISE**2
             noise[k] = np.sqrt(squares / (person.seconds + _USUAL_TIME))
-    error = np.sqrt(np.linalg.inv(left)[0, 0])
-    tilt = found[0].clip(-_MOST_TILT, _MOST_TILT)
-    return float(tilt * (abs(tilt) / error - 1.0).clip(0.0, 1.0))
+    errors = np.sqrt(np.diag(np.linalg.inv(left))[:2])
+    angles = found[:2].clip(-_MOST_TILT, _MOST_TILT)
+    return np.asarray(angles * (abs(angles) / errors - 1.0).clip(0.0, 1.0))
