@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array, Flags, chunks, runs
+from kinefilter.characters.arrays import Array, Flags, Indices, chunks, runs
 from kinefilter.characters.motion import nominal_step
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.retarget import HeadingFrame, find_yaw
@@ -36,6 +36,7 @@ from .windows import (
 _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends
 _QUERIES = 12  # frames of a gap for which the take's most similar ones are kept
+_SHOWN = 0.3  # s for which a knee or elbow has to be seen in a gap of its limb to count
 _AT_ONCE = 3000  # frames of a gap that are filled at once, which bounds the memory
 # s: standard deviation of the filter over predicted directions. Chosen on s02, s03, s04
 # and a quarter of the other people.
@@ -67,13 +68,12 @@ def fill_hidden(
         placed = seen.heading.restore(seen.positions)
         seen = bridged_motion(time, np.where(gone[..., None], np.nan, placed), skeleton)
     prior = prior or default_prior()
-    for gap, limb in _gaps(seen, gone):
-        _fill_limb(seen, gap, limb, prior)
+    for gap, limb, frames in _gaps(seen, gone):
+        _fill_limb(seen, gap, limb, frames, prior)
     # A limb that is not seen until later comes from where it is seen first.
     backward = seen.backward()
-    for gap, limb in _gaps(backward, gone[::-1]):
-        if not _ahead(backward, gap):
-            _fill_limb(backward, gap, limb, prior)
+    for gap, limb, frames in _gaps(backward, gone[::-1], last=True):
+        _fill_limb(backward, gap, limb, frames, prior)
     filled = seen.heading.restore(seen.positions)
     hidden &= ~np.isnan(filled[..., 0])
     return np.where(hidden[..., None], filled, positions), hidden
@@ -137,16 +137,36 @@ def _bridged(values: Array, known: Flags, rate: float, stretches: list[slice]) -
     return bridged
 
 
-def _gaps(seen: BridgedMotion, hidden: Flags) -> Iterator[tuple[slice, Limb]]:
-    """Yield the gaps of each limb, with its hidden part."""
+def _gaps(
+    seen: BridgedMotion, hidden: Flags, *, last: bool = False
+) -> Iterator[tuple[slice, Limb, Indices]]:
+    """Yield the gaps of limbs, their hidden parts, and the frames to fill.
+
+    At the edge of the view, ankles are lost before knees. As long as the knee is seen,
+    it shows where the ankle may be; the knee's own gap begins with what was filled.
+    With ``last``, only gaps are yielded that no motion follows.
+    """
+    least = max(round(_SHOWN * seen.rate), 1)
     for joints in limbs(seen.skeleton):
         for gap in runs(np.any(hidden[:, joints[1:]], axis=1)):
-            known = seen.known[gap].mean(axis=0)
-            known[np.isnan(seen.lengths)] = np.nan
-            limb = limb_of(seen.skeleton, joints, known)
             # Nothing is known before the start of the motion or across a break.
-            if limb is not None and gap.start > 0 and not seen.breaks[gap].any():
-                yield gap, limb
+            known_before = gap.start > 0 and not seen.breaks[gap].any()
+            if not known_before or (last and _ahead(seen, gap)):
+                continue
+            frames = np.arange(gap.start, gap.stop)
+            both = np.ones(len(frames), dtype=np.bool_)
+            for part in runs(seen.known[gap, joints[1]], least):
+                both[part] = False
+            parts = [(gap, frames[~both])] * (not both.all())
+            for part in runs(both):
+                begin, end = gap.start + part.start, gap.start + part.stop
+                parts.append((slice(begin, end), frames[part]))
+            for part, some in parts:
+                known = seen.known[some].mean(axis=0)
+                known[np.isnan(seen.lengths)] = np.nan
+                limb = limb_of(seen.skeleton, joints, known)
+                if limb is not None:
+                    yield part, limb, some
 
 
 def _ahead(seen: BridgedMotion, gap: slice) -> bool:
@@ -154,42 +174,45 @@ def _ahead(seen: BridgedMotion, gap: slice) -> bool:
     return gap.stop < len(seen.positions) and not seen.breaks[gap.stop]
 
 
-def _fill_limb(seen: BridgedMotion, gap: slice, limb: Limb, prior: MotionPrior) -> None:
-    """Fill a gap of a limb in ``seen``, in place."""
+def _fill_limb(
+    seen: BridgedMotion, gap: slice, limb: Limb, frames: Indices, prior: MotionPrior
+) -> None:
+    """Fill frames of a gap of a limb in ``seen``, in place."""
     length, ahead, recall = gap.stop - gap.start, _ahead(seen, gap), None
     long = length > SHORTEST * seen.rate
 
-    def described(frames: slice) -> Descriptions:
-        start, at = np.array([gap.start]), np.arange(length)[None, frames]
+    def described(frames: Indices) -> Descriptions:
+        start, at = np.array([gap.start]), frames[None] - gap.start
         stretch = Stretches(seen, limb, start, length, at, ahead)
-        return prior.describe(stretch) if long else describe(stretch)
+        return describe(stretch) if ahead and not long else prior.describe(stretch)
 
     if long:
-        some = described(slice(None, None, max(length // _QUERIES, 1))).features[0]
+        some = described(frames[:: max(len(frames) // _QUERIES, 1)]).features[0]
         recall = learn(seen, limb, length, some, prior, ahead=ahead, gap=gap.start)
-    found = [described(frames) for frames in chunks(length, _AT_ONCE)]
+    found = [described(frames[some]) for some in chunks(len(frames), _AT_ONCE)]
     parts = [(recall(part) if recall else part.base)[0] for part in found]
     directions = np.concatenate(parts)
-    before = seen.directions[gap].copy()
+    before = seen.directions[frames]
     for k, j in enumerate(limb.hidden):
-        gone = ~seen.known[gap, j]
-        seen.directions[gap, j][gone] = directions[gone, k]  # a view of the slice
-    _place(seen, gap, limb, before)
+        gone = ~seen.known[frames, j]
+        seen.directions[frames[gone], j] = directions[gone, k]
+    _place(seen, frames, limb, before)
 
 
-def _place(seen: BridgedMotion, gap: slice, limb: Limb, before: Array) -> None:
+def _place(seen: BridgedMotion, frames: Indices, limb: Limb, before: Array) -> None:
     """Put a limb's joints on their segments; hidden hands turn with their forearms."""
     end = limb.hidden[-1]
     tips = seen.skeleton.descendants(end)
-    turn = between(before[:, end], seen.directions[gap, end])
+    turn = between(before[:, end], seen.directions[frames, end])
     for j in [*limb.hidden, *tips]:
-        gone, parent = ~seen.known[gap, j], seen.skeleton.parents[j]
+        gone, parent = ~seen.known[frames, j], seen.skeleton.parents[j]
         if np.isnan(seen.lengths[j]):
             continue
+        gaps = frames[gone]
         if j in tips and limb.leg is None:
-            seen.directions[gap, j][gone] = rotate(turn, before[:, j])[gone]
-        bone = seen.lengths[j] * seen.directions[gap, j]
-        seen.positions[gap, j][gone] = (seen.positions[gap, parent] + bone)[gone]
+            seen.directions[gaps, j] = rotate(turn, before[:, j])[gone]
+        bone = seen.lengths[j] * seen.directions[gaps, j]
+        seen.positions[gaps, j] = seen.positions[gaps, parent] + bone
 
 
 def _place_elbows(seen: BridgedMotion, hidden: Flags) -> Flags:

@@ -164,7 +164,8 @@ class HiddenLimbTracker:
             return
         time, gap = float(self._times[k]), self._gaps.get(key)
         if gap is None or gap.limb != limb:
-            since = (k, time) if gap is None else (gap.start, gap.time)
+            fewer = gap is None or len(gap.limb.hidden) < len(limb.hidden)
+            since = (k, time) if gap is None or fewer else (gap.start, gap.time)
             ankles = skeleton.sides("Ankle")
             heights = self._positions[:k, ankles, 1] + self._root[:k, 1, None]
             standing = standing_height(self._root[: k + 1, 1])

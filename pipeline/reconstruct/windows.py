@@ -26,7 +26,7 @@ from .continuity import (
     planted_likelihood,
 )
 
-_MOSTLY_SEEN = 0.9  # share of a gap's frames in which a visible segment is seen
+_MOSTLY_SEEN = 0.5  # share of a gap's frames in which a visible segment is seen
 _TIPS = ("Hand", "Foot", "Thumb")
 _LIMBS = (("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle"))
 
