@@ -32,6 +32,7 @@ _KEPT = 300  # samples nearest to the gap that are kept: the cost grows with the
 _FOLDS = 4  # parts of the take, each predicted from the others
 _MOMENTUM = 1.0  # share of its speed that a limb keeps, unless the take shows more
 _DOUBT = 0.1  # departure of a direction against which that share is weighed
+_FEW = 16  # stretches as long as the gap: a take that shows so many doubles the doubt
 _BLUR = 0.2  # s: shorter holes in the frames that are seen are ignored
 
 
@@ -134,7 +135,7 @@ def learn(
     if queries is not None and count > _KEPT:
         near = _squares(queries, columns[0]).min(axis=0).argsort(kind="stable")[:_KEPT]
     features, moving, targets, begins, ends = (column[near] for column in columns)
-    doubt = len(near) * _DOUBT**2
+    doubt = len(near) * _DOUBT**2 * (1.0 + _FEW * most / usable.sum())
     kept = float(np.sum(moving * targets)) + _MOMENTUM * doubt
     momentum = float(np.clip(kept / (np.sum(moving**2) + doubt), 0.0, 1.5))
     targets = targets - momentum * moving

@@ -154,6 +154,12 @@ class Stretches:
     at: Indices  # frames to describe, counted from the stretch's start, shape (W, M)
     ahead: bool  # True if the motion after the stretch is known
 
+    def backward(self) -> Stretches:
+        """Return the stretches, as they are where time runs backward."""
+        starts = len(self.seen.positions) - self.starts - self.length
+        at = self.length - 1 - self.at[:, ::-1]
+        return replace(self, seen=self.seen.backward(), starts=starts, at=at)
+
     @cached_property
     def frames(self) -> Indices:
         """Frames of the motion to describe, shape (W, M)."""
