@@ -67,6 +67,17 @@ def test_the_roll_is_found_under_someone_who_walks_across(roll: float) -> None:
     assert abs(np.degrees(slope)) < 1.0
 
 
+def test_a_foot_that_seems_higher_is_no_roll() -> None:
+    steps = standing()
+    left, right = (list(KINECT_V1.sides("Ankle"))[k] for k in (0, 1))
+    steps[:, left, 1] += 0.02
+    steps[::2, left, 1] += 0.05
+    steps[1::2, right, 1] += 0.05
+    person = TiltEvidence(KINECT_V1)
+    person.add(steps, np.ones(steps.shape[:2]), np.full(len(steps), 0.5))
+    assert abs(np.degrees(sensor_tilt([person])[1])) < 0.1
+
+
 def test_a_level_sensor_stays_as_it_is() -> None:
     assert abs(tilt_of(walking(0.0, 0.01)[1])) < 0.5
 

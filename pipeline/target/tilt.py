@@ -1,8 +1,8 @@
 """The tilt and roll of a sensor, from how people stand and walk before it.
 
-Most sensors look down a little, and many stand a degree or two askew. Two things show
-it: feet that get lower or higher as they walk away or across, and people who lean.
-Whoever walks or stands is upright on average, apart from a lean of their own, which
+Most sensors look down a little, and many stand a degree or two askew. Feet show both,
+as they get lower or higher where people walk away or across, and leans show the tilt:
+whoever walks or stands is upright on average, apart from a lean of their own, which
 turns with them. All of it is one linear least squares problem with a prior for each
 unknown, and its sums grow frame by frame.
 
@@ -23,15 +23,17 @@ from kinefilter.retarget import find_yaw
 
 from .feet import ankles_and_toes
 
-# Unknowns: the sensor's tilt and roll and the lean away from it that it adds to all
-# people; each person's lean forward and to the left [rad], and the height [m] of their
-# ankles at the sensor. By marker mocap of six people (UI-PRMD) who stand, the center of
-# mass is 2.1 to 4.6 degrees in front of the ankles. Constants were chosen on p00 to p08
-# of two-kinects and on CMU's people 02 to 32 before a virtual Kinect, where twice or
-# half of each hardly matters.
-_SHARED, _OWN = 3, 3
-_MEANS = np.radians([0.0, 0.0, 0.7, 3.0, 0.0, 0.0])
-_DEVIATIONS = np.append(np.radians([7.0, 1.5, 0.5, 1.2, 1.0]), 3.0)
+# Unknowns: the sensor's tilt and roll, how far it shows everybody leaning to its side,
+# and the lean away from it that it adds [rad]; each person's lean forward and to the
+# left [rad], the height of their ankles at the sensor, and by how much the left one
+# seems higher than that [m]. Leans to the side do not count for the roll: they made
+# that of people who only stand no more exact. By marker mocap of six people (UI-PRMD)
+# who stand, the center of mass is 2.1 to 4.6 degrees in front of the ankles. Constants
+# were chosen on p00 to p08 of two-kinects and on CMU's people 02 to 32 before a virtual
+# Kinect, where twice or half of each hardly matters.
+_SHARED, _OWN = 4, 4
+_MEANS = np.radians([0.0, 0.0, 0.0, 0.7, 3.0, 0.0, 0.0, 0.0])
+_DEVIATIONS = np.append(np.radians([7.0, 1.5, 1.5, 0.5, 1.2, 1.0]), [3.0, 0.02])
 _LEAN, _HEIGHT = 0, 1  # the kinds of evidence
 # Standard deviations [rad, m] of a person's noise, until more than a time [s] shows it.
 _USUAL_NOISE, _USUAL_TIME = np.array([np.radians(4.0), 0.05]), 2.0
@@ -49,7 +51,7 @@ class TiltEvidence:
 
     Attributes:
         products: Sums over rows of each kind of evidence, weighted by the time [s] that
-            each stands for: outer products of the row with itself, (2, 7, 7). A row has
+            each stands for: outer products of the row with itself, (2, 9, 9). A row has
             a factor for each unknown and, last, what they add up to: a lean or a
             height.
         seconds: Sums of these times, (2,).
@@ -70,7 +72,8 @@ class TiltEvidence:
         some &= positions[:, self._skeleton.root, 1] - foot[:, 1] > _LEGS
         foot, both = foot[some], some & seen.all(axis=1)
         nothing, one = np.zeros(len(foot)), np.ones(len(foot))
-        rows = [foot[:, 2], -foot[:, 0], *[nothing] * 3, one, foot[:, 1]]
+        side = 1.0 - 2.0 * lower[some]
+        rows = [foot[:, 2], -foot[:, 0], *[nothing] * 4, one, side, foot[:, 1]]
         self._add(_HEIGHT, np.transpose(rows), elapsed[some])
         self._add_leans(positions[both], elapsed[both])
 
@@ -95,9 +98,9 @@ class TiltEvidence:
         sine, cosine = np.sin(yaw[stands]), np.cos(yaw[stands])
         none, one = np.zeros_like(sine), np.ones_like(sine)
         deep, across = leans[:, stands]
-        rows = [-one, none, away_z, cosine, -sine, none, deep]
+        rows = [-one, none, none, away_z, cosine, -sine, none, none, deep]
         self._add(_LEAN, np.transpose(rows), weights[2])
-        rows = [none, one, away_x, sine, cosine, none, across]
+        rows = [none, none, one, away_x, sine, cosine, none, none, across]
         self._add(_LEAN, np.transpose(rows), weights[0])
 
     def _add(self, kind: int, rows: Array, elapsed: Array) -> None:
@@ -113,7 +116,8 @@ def sensor_tilt(people: Sequence[TiltEvidence], *, by_kinect: bool = True) -> Ar
     only above twice that error. Leans count only before a Kinect.
     """
     size = _SHARED + _OWN * len(people)
-    own = [[0, 1, 2, *range(k, k + _OWN)] for k in range(_SHARED, size, _OWN)]
+    shared = list(range(_SHARED))
+    own = [[*shared, *range(k, k + _OWN)] for k in range(_SHARED, size, _OWN)]
     means, precision = np.zeros(size), np.zeros((size, size))
     for unknowns in own:
         means[unknowns] = _MEANS

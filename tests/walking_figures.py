@@ -1,0 +1,137 @@
+"""How far hidden limbs of people who walk are from where they are.
+
+``python tests/walking_figures.py RECORDINGS... --train OTHERS...`` hides limbs for the
+middle 55 % of recordings, and legs below a raised edge of the view, which has an ankle
+below it in 40 % of the frames. It compares the hidden joints with those of the
+recording cleaned with nothing hidden, relative to the hips [cm], in the mean over
+people: held as they were last seen, without networks, in clips, and live.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinefilter import CleanConfig, Cleaner
+from kinefilter.characters import Skeleton, State, Take
+from kinefilter.characters.motion import distinct_stamps
+from kinefilter.pipeline.commands.terminal import out
+from kinefilter.pipeline.lab.limb_guesses import HIDDEN
+from kinefilter.pipeline.lab.limb_lessons import (
+    joined,
+    read_lessons,
+    train_prior,
+    with_prior,
+)
+from kinefilter.pipeline.lab.recorded_acts import NamedTake, recordings_in
+from kinefilter.pipeline.reconstruct import MotionPrior
+from kinefilter.pipeline.reconstruct.prior import Mode
+from kinefilter.pipeline.workers import workers
+from kinefilter.retarget import HeadingFrame, find_yaw
+
+Array, Flags = NDArray[np.float64], NDArray[np.bool_]
+_EDGE = "below the view"
+_WAYS = ("right-arm", "arms", "left-leg", "shins", "legs", _EDGE)
+_FRAMES = 600  # of each recording
+_CONFIG = CleanConfig(tilt=0.0, physics=False)
+
+
+def hidden(take: Take, way: str) -> Flags:
+    """Return which joints are hidden, (T, J)."""
+    flags = np.zeros(take.positions.shape[:2], dtype=np.bool_)
+    if way == _EDGE:
+        if ".bvh" in Path(take.source).suffixes:
+            return flags  # nobody views mocap
+        angle = np.arctan2(take.positions[..., 1], take.positions[..., 2])
+        ankles = angle[:, list(take.skeleton.sides("Ankle"))].min(axis=1)
+        return np.asarray(angle < np.nanpercentile(ankles, 40.0))
+    middle = slice(round(0.225 * len(flags)), round(0.775 * len(flags)))
+    for j in HIDDEN[way]:
+        if j in take.skeleton.joints:
+            flags[middle, take.skeleton.index(j)] = True
+    return flags
+
+
+def from_hips(motion: Array, skeleton: Skeleton) -> Array:
+    return motion - motion[:, skeleton.hips].mean(axis=1, keepdims=True)
+
+
+def held(motion: Array, gone: Flags, skeleton: Skeleton) -> Array:
+    """Return a motion whose hidden joints keep their places in the heading frame."""
+    roots = motion[:, skeleton.root]
+    heading = HeadingFrame(roots, find_yaw(motion, skeleton))
+    found = heading.remove(motion)
+    for j in range(len(skeleton)):
+        seen = np.where(gone[:, j], 0, np.arange(len(gone)))
+        found[:, j] = found[np.maximum.accumulate(seen), j]
+    return heading.restore(found)
+
+
+def followed(take: Take, cleaner: Cleaner) -> Array:
+    """Return the joints [m] of live motion, (T, J, 3)."""
+    cleaner.start(*cleaner.measure(take))
+    frames = zip(take.positions, take.time, take.state, strict=True)
+    drafts = [cleaner.step(joints, float(s), state) for joints, s, state in frames]
+    return np.array([draft.positions for draft in drafts])
+
+
+def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
+    """Return the person; sums of the four errors [cm], and joints, for each way."""
+    take, skeleton = recording.take, recording.take.skeleton
+    take = take.at(np.flatnonzero(distinct_stamps(take.time))[:_FRAMES])
+    plain, trained = (
+        with_prior(Cleaner(_CONFIG), _CONFIG, each) for each in (MotionPrior({}), prior)
+    )
+    clip, live = trained.clean(take).clip.positions, followed(take, trained)
+    sums = np.zeros((len(_WAYS), 5))
+    scored = [
+        j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints
+    ]
+    for row, way in zip(sums, _WAYS, strict=True):
+        flags = hidden(take, way)
+        state = np.where(flags, State.NOT_TRACKED, take.state).astype(np.uint8)
+        positions = np.where(flags[..., None], np.nan, take.positions)
+        blind = replace(take, positions=positions, state=state)
+        there = ~flags[:, list(skeleton.hips)].any(axis=1)
+        counted = flags & scored & there[:, None]
+        pairs = (
+            (held(clip, flags, skeleton), clip),
+            (plain.clean(blind).clip.positions, clip),
+            (trained.clean(blind).clip.positions, clip),
+            (followed(blind, trained), live),
+        )
+        for k, motions in enumerate(pairs):
+            one, other = (from_hips(motion, skeleton) for motion in motions)
+            row[k] = 100.0 * np.linalg.norm(one - other, axis=2)[counted].sum()
+        row[4] = counted.sum()
+    return recording.name.partition("_")[0], sums
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recordings", type=Path, nargs="+")
+    parser.add_argument("--train", type=Path, nargs="+", required=True)
+    args, people = parser.parse_args(), defaultdict[str, list[Array]](list)
+    teachers = (one for path in args.train for one in recordings_in(path))
+    lessons = joined(read_lessons(teachers, get_args(Mode)))
+    tests = [one for path in sorted(args.recordings) for one in recordings_in(path)]
+    with workers() as pool:
+        prior = train_prior(lessons, pool)
+        for person, sums in pool.map(partial(errors, prior=prior), tests):
+            people[person].append(sums)
+    totals = np.array([np.sum(each, axis=0) for each in people.values()])
+    with np.errstate(invalid="ignore"):
+        means = np.nanmean(totals[..., :4] / totals[..., 4:], axis=0)
+    for way, row in zip(_WAYS, means, strict=True):
+        out.print(f"{way}: held, without networks, clips, live, cm:", row.round(1))
+
+
+if __name__ == "__main__":
+    main()
