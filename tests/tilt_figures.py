@@ -1,10 +1,10 @@
 """How upright clips and live motion are where the sensor is not level.
 
-Reads mocap, which a virtual Kinect sees that is tilted by some angles, or rolled by one
-(``--roll``). For each of them it prints the error of limb joints about the hips [cm],
-that of their movement [cm], how far the height of the hips drifts [cm], and how many
-degrees of the tilt are left, in the mean over people: of clips as the take is, leveled
-and with the tilt given, and of live motion as the take is and leveled.
+Reads mocap, which a virtual Kinect sees that is tilted by some angles. For each of them
+it prints the error of limb joints about the hips [cm], that of their movement [cm], how
+far the height of the hips drifts [cm], and how many degrees of the tilt are left, in
+the mean over people: of clips as the take is, leveled and with the tilt given, and of
+live motion as the take is and leveled.
 
     python tests/tilt_figures.py ../shared/data/mocap/cmu/{08_01,12_02,35_01}.bvh.gz
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,11 +53,11 @@ def followed(take: Take, tilt: float | None) -> tuple[Array, Array, Array]:
     return take.time[late], joints[late], tilts[late]
 
 
-def errors(pair: PairedTake, tilt: float, roll: float) -> Array:
+def errors(pair: PairedTake, tilt: float) -> Array:
     """Return the four numbers for each of the ways, (5, 4)."""
     skeleton, measure = pair.take.skeleton, Accuracy(pair.take.skeleton)
-    tilted = leveled(pair.take.positions, -np.radians(tilt))
-    take = replace(pair.take, positions=leveled(tilted, 0.0, -np.radians(roll)))
+    positions = leveled(pair.take.positions, -np.radians(tilt))
+    take = replace(pair.take, positions=positions)
     rows = []
     for time, joints, tilts in (
         *(cleaned(take, given) for given in (0.0, None, tilt)),
@@ -73,26 +72,24 @@ def errors(pair: PairedTake, tilt: float, roll: float) -> Array:
     return np.array(rows)
 
 
-def figures_of(file: Path, roll: float) -> tuple[str, Array] | None:
-    """Return the person of a recording, and its numbers for each tilt, or a roll."""
+def figures_of(file: Path) -> tuple[str, Array] | None:
+    """Return the person of a recording, and its numbers for each tilt."""
     (pair,) = recorded_pairs(file)
     if pair.take.time[-1] - pair.take.time[0] <= _BEGINS:
         return None
-    tilts = (0.0,) if roll else _TILTS
-    return pair.subject, np.array([errors(pair, tilt, roll) for tilt in tilts])
+    return pair.subject, np.array([errors(pair, tilt) for tilt in _TILTS])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--roll", type=float, default=0.0, help="[degrees]")
-    args, people = parser.parse_args(), defaultdict(list)
+    people = defaultdict(list)
     with workers() as pool:
-        for one in pool.map(partial(figures_of, roll=args.roll), sorted(args.files)):
+        for one in pool.map(figures_of, sorted(parser.parse_args().files)):
             if one is not None:
                 people[one[0]].append(one[1])
     means = np.mean([np.mean(found, axis=0) for found in people.values()], axis=0)
-    for tilt, rows in zip(_TILTS, means, strict=False):
+    for tilt, rows in zip(_TILTS, means, strict=True):
         for way, row in zip(_WAYS, rows, strict=True):
             out.print(f"{tilt:+3.0f} {way:13s}", *(f"{value:5.1f}" for value in row))
 
