@@ -215,28 +215,26 @@ def test_a_foot_stands_where_it_is_said_and_nothing_slides_for_that(
     tmp_path: Path, stands: bool
 ) -> None:
     take = simulate("basic", "walk", seed=3, stay_in_view=True).take
-    positions, foot = take.positions.copy(), ["AnkleLeft", "FootLeft"]
-    stance = max(
-        runs(cleaned(take).clip.contacts[:, 0]), key=lambda run: run.stop - run.start
-    )
-    aside = (stance.start + stance.stop) // 2
-    # A foot that is put a little aside while it stands, too little to be a step.
-    positions[aside:, [take.skeleton.index(joint) for joint in foot], 0] += 0.08
+    positions, index = take.positions.copy(), take.skeleton.index
+    foot = [index("AnkleLeft"), index("FootLeft")]
+    # A foot is put aside while it stands, too little for a step.
+    stances = runs(cleaned(take).clip.contacts[:, 0])
+    aside = max((k.stop - k.start, (k.start + k.stop) // 2) for k in stances)[1]
+    positions[aside:, foot, 0] += 0.08
     take = replace(take, positions=positions)
     plain = cleaned(take)
     others = runs(plain.clip.contacts[:, :2].any(axis=1) != stands, 6)
-    span = others[len(others) // 2]
-    first = span.start if stands else aside - 3
+    first = others[len(others) // 2].start if stands else aside - 3
     begin, end = take.time[[first, first + 5]] - take.time[0]
-    told = f'[[contact]]\npart = "left foot"\nstands = {str(stands).lower()}\n'
-    told += f"begin = {begin}\nend = {end}\n"
+    told = (
+        f"[[contact]]\nstands = {str(stands).lower()}\nbegin = {begin}\nend = {end}\n"
+    )
+    told += 'part = "left foot"\n'
     found = cleaned(take, edited(tmp_path, told))
-    inside = slice(first, first + 6)
-    assert (found.clip.contacts[inside][:, :2] == stands).all()
+    assert (found.clip.contacts[first : first + 6, :2] == stands).all()
     assert (found.clip.contacts[:, 2:] == plain.clip.contacts[:, 2:]).all()
-    toe = take.skeleton.index("FootLeft")
     for stance in runs(found.clip.contacts[:, 1], 6):
-        assert np.ptp(found.clip.positions[stance, toe], axis=0).max() < 0.01
+        assert np.ptp(found.clip.positions[stance, foot[1]], axis=0).max() < 0.01
     # Nor does it move other steps if an arm is distrusted at the same time.
     told += table("distrust", begin, end, '"right-arm"')
     both = cleaned(take, edited(tmp_path, told))
