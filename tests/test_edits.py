@@ -226,10 +226,8 @@ def test_a_foot_stands_where_it_is_said_and_nothing_slides_for_that(
     others = runs(plain.clip.contacts[:, :2].any(axis=1) != stands, 6)
     first = others[len(others) // 2].start if stands else aside - 3
     begin, end = take.time[[first, first + 5]] - take.time[0]
-    told = (
-        f"[[contact]]\nstands = {str(stands).lower()}\nbegin = {begin}\nend = {end}\n"
-    )
-    told += 'part = "left foot"\n'
+    told = f'[[contact]]\npart = "left foot"\nstands = {str(stands).lower()}\n'
+    told += f"begin = {begin}\nend = {end}\n"
     found = cleaned(take, edited(tmp_path, told))
     assert (found.clip.contacts[first : first + 6, :2] == stands).all()
     assert (found.clip.contacts[:, 2:] == plain.clip.contacts[:, 2:]).all()
