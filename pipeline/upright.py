@@ -63,10 +63,13 @@ class Turn:
             turned = f"{np.degrees(self.roll):+.1f} degrees about z{then}"
             note = f"the sensor was {what}, judging by how the person stands; "
             notes.insert(0, f"{note}frames were rotated by {turned}")
-        elif tilt or roll:
+        else:
             angles = (("tilted", tilt), ("rolled", np.degrees(roll)))
-            found = [f"{what} by {by:+.1f} degrees" for what, by in angles if by]
-            notes.insert(0, f"the sensor was {' and '.join(found)}")
+            found = [
+                f"{what} by {by:+.1f} degrees" for what, by in angles if round(by, 1)
+            ]
+            if found:
+                notes.insert(0, f"the sensor was {' and '.join(found)}")
         return tuple(notes)
 
 

@@ -46,7 +46,7 @@ def slope_of(places: Array) -> tuple[float, float]:
         fit = np.linalg.lstsq(rows[kept], y[kept], rcond=None)[0]
         away = np.abs(y - rows @ fit)
         kept = away < 3.0 * np.median(away)
-    error = np.linalg.inv(rows[kept].T @ rows[kept]) * np.var(away[kept])
+    error = np.linalg.inv(rows[kept].T @ rows[kept]) * np.mean(away[kept] ** 2)
     spread = np.sqrt(_FRAMES_PER_STEP * error[0, 0])
     return float(np.degrees(fit[0])), float(np.degrees(spread))
 

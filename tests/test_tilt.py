@@ -12,7 +12,8 @@ from real_data import TAKES, recorded
 from kinefilter import CleanConfig, Cleaner, clean, read_take
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
 from kinefilter.pipeline.draft import Draft
-from kinefilter.pipeline.target.floor import leveled
+from kinefilter.pipeline.look.comparison import laid_onto_clip
+from kinefilter.pipeline.target.floor import in_world, leveled
 from kinefilter.pipeline.target.frame_stages import Level
 from kinefilter.pipeline.target.tilt import TiltEvidence, sensor_tilt
 from kinefilter.retarget import HeadingFrame
@@ -62,6 +63,8 @@ def test_the_roll_is_found_under_someone_who_walks_across(roll: float) -> None:
     found = np.degrees(result.clip.roll)
     assert found == pytest.approx(roll, abs=1.0)
     assert f"rolled by {found:+.1f} degrees" in " ".join(result.notes)
+    laid = laid_onto_clip(take, result.clip)
+    assert np.abs(laid - in_world(take, result.clip)).max() < 0.05
     hips = result.clip.positions[:, KINECT_V1.root]
     slope = np.polyfit(hips[:, 0], hips[:, 1], 1)[0]
     assert abs(np.degrees(slope)) < 1.0
@@ -69,7 +72,7 @@ def test_the_roll_is_found_under_someone_who_walks_across(roll: float) -> None:
 
 def test_a_foot_that_seems_higher_is_no_roll() -> None:
     steps = standing()
-    left, right = (list(KINECT_V1.sides("Ankle"))[k] for k in (0, 1))
+    left, right = KINECT_V1.sides("Ankle")
     steps[:, left, 1] += 0.02
     steps[::2, left, 1] += 0.05
     steps[1::2, right, 1] += 0.05

@@ -48,7 +48,7 @@ def hidden(take: Take, way: str) -> Flags:
     flags = np.zeros(take.positions.shape[:2], dtype=np.bool_)
     if way == _EDGE:
         if ".bvh" in Path(take.source).suffixes:
-            return flags  # nobody views mocap
+            return flags  # mocap has no view
         angle = np.arctan2(take.positions[..., 1], take.positions[..., 2])
         ankles = angle[:, list(take.skeleton.sides("Ankle"))].min(axis=1)
         return np.asarray(angle < np.nanpercentile(ankles, 40.0))

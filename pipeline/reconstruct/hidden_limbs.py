@@ -38,10 +38,10 @@ _BREAK = 1.0  # s without a frame, after which the motion does not continue
 PAUSE = 0.2  # s without a frame, after which a movement ends
 _QUERIES = 12  # frames of a gap for which the take's most similar ones are kept
 _SHOWN = 0.3  # s for which a knee or elbow has to be seen in a gap of its limb to count
-# Over longer ways [m], what the one end of a gap says of the other, and a line between
-# them, mean little: at most to this share, limbs continue from either end instead.
+# m that people go during a gap after which a path between its ends means little; limbs
+# then continue from both ends instead, at most to this share.
 # Chosen on s02, s03, s04, on CMU's 02, 05, 07, 16 and 32, and on walks of p00 to p08.
-_STAYS, _CONTINUED = 0.3, 0.9
+_WAY, _CONTINUED = 0.3, 0.9
 _AT_ONCE = 3000  # frames of a gap that are filled at once, which bounds the memory
 # s: standard deviation of the filter over predicted directions. Chosen on s02, s03, s04
 # and a quarter of the other people.
@@ -190,7 +190,7 @@ def _fill_limb(
     if ahead and length > SHORTEST * seen.rate:
         way = seen.heading.root[gap] - seen.heading.root[gap.start - 1]
         far = np.linalg.norm(way[:, [0, 2]], axis=1).max()
-        share = _CONTINUED * (1.0 - np.exp(-((far / _STAYS) ** 2)))
+        share = _CONTINUED * (1.0 - np.exp(-((far / _WAY) ** 2)))
         ends = (replace(one, ahead=False) for one in (hidden, hidden.backward()))
         first, last = (_directions(end, prior) for end in ends)
         until = ((at + 0.5) / length)[:, None, None]
