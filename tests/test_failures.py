@@ -263,6 +263,16 @@ def test_missing_joints_are_no_failure() -> None:
     assert find_failures(replace(take, positions=positions)) == ()
 
 
+@pytest.mark.parametrize("motion", ["bend_leg", "wave", "walk"])
+def test_bodies_without_their_legs_are_where_they_were(motion: str) -> None:
+    """Frames beside a gap of the legs used to be dropped: the middle seemed to leap."""
+    take = _take(motion)
+    legs = [j for hip in KINECT_V1.hips for j in KINECT_V1.descendants(hip)]
+    positions = take.positions.copy()
+    positions[5:15, legs] = positions[40:60, legs] = np.nan
+    assert find_failures(replace(take, positions=positions)) == ()
+
+
 def test_a_failure_is_mended_and_told() -> None:
     take = _take("wave")
     result = clean(_mirrored(take, slice(40, 60)), CleanConfig(physics=False))

@@ -63,30 +63,6 @@ def hidden_in(count: int, joints: list[int], *gaps: slice) -> NDArray[np.bool_]:
     return hidden
 
 
-@pytest.mark.parametrize("legs", [False, True])
-def test_a_root_that_is_never_seen_is_below_the_trunk(legs: bool) -> None:
-    """Behind a desk, for one: it used to end in a traceback, or meters away."""
-    lost = [KINECT_V1.root]
-    for hip in KINECT_V1.hips if legs else ():
-        lost += [int(hip), *KINECT_V1.descendants(int(hip))]
-    full = waving(60)
-    state = np.full(full.shape[:2], State.TRACKED, dtype=np.uint8)
-    take = Take(np.arange(60) / RATE, full, state, KINECT_V1)
-    hidden = state.copy()
-    hidden[:, lost] = State.NOT_TRACKED
-    cleaner = Cleaner(CleanConfig(physics=False)).until("correct")
-    found, usual = (
-        cleaner.whole(Take(take.time, full, some, KINECT_V1)).positions
-        for some in (hidden, state)
-    )
-    upper = [KINECT_V1.index(name) for name in ("HipCenter", "Head", "WristLeft")]
-    assert np.abs(found - usual)[:, upper].max() < 0.1
-    cleaner.start(BODY)
-    for positions, some, k in zip(full, hidden, range(60), strict=True):
-        live = cleaner.step(positions, k / RATE, some).positions
-    assert np.abs(live - usual[-1])[upper].max() < 0.15
-
-
 def filled(
     positions: Array, hidden: NDArray[np.bool_], prior: MotionPrior | None = None
 ) -> Array:

@@ -97,7 +97,10 @@ class ImpossibleBodies:
 
 
 def _is_reachable(seen: tuple[float, Array] | None, time: float, place: Array) -> bool:
-    return seen is not None and bool(_reachable(seen[1], place, time - seen[0]))
+    if seen is None:
+        return False
+    distance = np.asarray(np.linalg.norm(place - seen[1]))
+    return bool(_reachable(distance, time - seen[0]))
 
 
 def _lower_median(values: Array) -> Array:
@@ -197,26 +200,33 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     known = np.flatnonzero(~np.isnan(middle[:, 0]))
     if not len(known):
         return wrong, jumps
-    places, time = middle[known], take.time[known]
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(time)
+    places, joints, time = middle[known], take.positions[known], take.time[known]
+
+    def distance(first: Indices, last: Indices) -> Array:
+        """Return how far the body moves [m], (N,), by the joints that both show."""
+        moves = middles(joints[last] - joints[first])
+        moves = np.where(np.isnan(moves), places[last] - places[first], moves)
+        return np.asarray(np.linalg.norm(moves, axis=-1))
+
+    there = np.arange(len(known))
+    steps = distance(there[:-1], there[1:]) / np.maximum(np.diff(time), 1e-9)
     speeds = np.pad(steps, 1, mode="edge") if len(steps) else np.zeros(2)
 
     def gets_there(first: Indices, last: Indices) -> Flags:
         """Return True where the person can get from one frame to the other, (N,)."""
-        seconds, start, end = time[last] - time[first], places[first], places[last]
+        seconds, far = time[last] - time[first], distance(first, last)
         usual = np.minimum(speeds[first], speeds[last + 1]) + _SPURT
-        even = np.linalg.norm(end - start, axis=-1) < _STEP + usual * seconds
-        return np.asarray(even & _reachable(start, end, seconds))
+        return np.asarray((far < _STEP + usual * seconds) & _reachable(far, seconds))
 
-    there = np.arange(len(known))
     pieces = np.split(there, 1 + np.flatnonzero(~gets_there(there[:-1], there[1:])))
     longest = int(np.argmax([len(piece) for piece in pieces]))
     # From the longest piece to the end of the take, then to its beginning.
     for way in (pieces[longest:], [p[::-1] for p in pieces[longest::-1]]):
         last = way[0][-1]
         for piece in way[1:]:
-            if not gets_there(*sorted((last, piece[0]))):
-                far = np.linalg.norm(places[piece[0]] - places[last]) > _RANGE
+            ends = np.sort([[last], [piece[0]]], axis=0)
+            if not gets_there(*ends).all():
+                far = distance(*ends)[0] > _RANGE
                 if far or np.ptp(time[piece]) < _BRIEF:
                     wrong[known[piece]] = True
                     continue
@@ -225,7 +235,6 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     return wrong, jumps
 
 
-def _reachable(start: Array, end: Array, seconds: Array | float) -> Flags:
-    """Return True where a person can get from start to end [m], (..., 3), in time."""
-    distances = np.linalg.norm(end - start, axis=-1)
+def _reachable(distances: Array, seconds: Array | float) -> Flags:
+    """Return True where a person can get that far [m] in time."""
     return np.asarray(distances < _NOISE + np.minimum(_TOP_SPEED * seconds, _RANGE))

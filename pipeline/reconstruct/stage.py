@@ -22,6 +22,7 @@ from .continuity import planted_height
 from .hidden_limbs import PAUSE, fill_hidden, fill_unseen, point_unseen
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
+from .unseen_root import RootTracker, with_root
 from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, with_tips
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
@@ -68,6 +69,7 @@ class HiddenLimbTracker:
         """Reset the state for a new motion."""
         rows, n = 2 * _MEMORY, len(self._body.skeleton)
         self._count, self._gaps = 0, dict[int, _Gap]()
+        self._unseen_root = RootTracker(self._body)
         self._times, self._yaw = np.zeros((2, rows))
         self._root = np.zeros((rows, 3))
         self._positions, self._directions = np.zeros((2, rows, n, 3))
@@ -88,12 +90,14 @@ class HiddenLimbTracker:
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
         there = ~hidden
-        root = positions[skeleton.root]
         yaw = find_yaw(positions, skeleton, there.astype(float))
-        if hidden[skeleton.root] or np.isnan(root).any():
-            root = self._root[k - 1]
         if np.isnan(yaw):
             yaw = self._yaw[k - 1]
+        root = self._unseen_root.step(positions, yaw)
+        if np.isnan(root).any():
+            root = self._root[k - 1]
+        else:
+            there[skeleton.root] = True
         self._root[k], self._yaw[k] = root, yaw
         heading = HeadingFrame(root, np.asarray(yaw))
         placed = heading.remove(positions)
@@ -241,10 +245,8 @@ class Reconstruct(Stage):
         now = draft.state == State.TRACKED
         self._frames = min(self._frames + 1, _LATELY)
         self._tracked = self._tracked + (now - self._tracked) / self._frames
-        measured, root = draft.measured, draft.skeleton.root
+        measured = draft.measured
         hidden = hidden_joints(measured, draft.state, draft.skeleton, self._tracked)
-        if not self._tracked[root]:
-            measured, hidden[root] = with_root(measured, draft.body), False
         time = float(draft.time)
         draft.filled, draft.hidden = self._tracker.step(measured, hidden, time)
 
@@ -254,9 +256,10 @@ class Reconstruct(Stage):
             self._others = [read_take(file) for file in self._files]
         skeleton, time, positions = draft.skeleton, draft.time, draft.measured
         hidden = hidden_joints(positions, draft.state, skeleton)
-        if hidden[:, skeleton.root].all():
-            positions = with_root(positions, draft.body)
         recorded, first = positions[:, skeleton.root], 0
+        positions = with_root(time, positions, draft.body)
+        placed = hidden[:, skeleton.root] & ~np.isnan(positions[:, skeleton.root, 0])
+        hidden[placed, skeleton.root] = False
         for other in self._others:
             if other.skeleton != skeleton:
                 raise InputError(
@@ -280,25 +283,7 @@ class Reconstruct(Stage):
         unseen = np.asarray(hidden.all(axis=0))
         found = fill_unseen(draft.time, own, unseen, draft.body, prior)
         draft.filled, draft.hidden = found[0], which[first:] | found[1]
-
-
-def with_root(positions: Array, body: Body) -> Array:
-    """Return joints (..., J, 3) with a root that the sensor does not see.
-
-    It is between the hips, or straight below whichever other joints of the trunk are
-    seen, as far as in the rest pose.
-    """
-    skeleton, rest = body.skeleton, body.rest_positions
-    spine = [[j] for j in reversed(skeleton.ancestors(skeleton.girdle))]
-    hips, shoulders = skeleton.sides("Hip"), skeleton.sides("Shoulder")
-    root = np.full_like(positions[..., 0, :], np.nan)
-    for joints in (hips, *spine, shoulders, [skeleton.index("Head")]):
-        above = (rest[joints] - rest[skeleton.root]).mean(axis=0) * [0.0, 1.0, 0.0]
-        found = positions[..., joints, :].mean(axis=-2) - above
-        root = np.where(np.isnan(root), found, root)
-    rooted = positions.copy()
-    rooted[..., skeleton.root, :] = root
-    return rooted
+        draft.hidden[:, skeleton.root] |= placed
 
 
 @cache

@@ -1,0 +1,94 @@
+"""Where people are whose hips the sensor does not see, as they come near or sit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinefilter import CleanConfig, Cleaner
+from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
+from kinefilter.pipeline.lab.simulation import simulate, truth_of
+from kinefilter.scenes.library import perform, random_body
+
+Array = NDArray[np.float64]
+CLEANER = Cleaner(CleanConfig(physics=False, tilt=0.0))
+
+
+@cache
+def walk(skeleton: Skeleton) -> Take:
+    """Return somebody who walks in view of a sensor, seen without errors."""
+    pair = simulate("basic", "walk", skeleton=skeleton.name, seed=3, stay_in_view=True)
+    return truth_of(pair).at(slice(150))
+
+
+def without(take: Take, joints: list[int], frames: slice) -> Take:
+    positions, state = take.positions.copy(), take.state.copy()
+    positions[frames, joints], state[frames, joints] = np.nan, State.NOT_TRACKED
+    return replace(take, positions=positions, state=state)
+
+
+def lower_body(skeleton: Skeleton) -> list[int]:
+    legs = (j for hip in skeleton.hips for j in (hip, *skeleton.descendants(hip)))
+    return [skeleton.root, *(int(j) for j in legs)]
+
+
+def trunk(skeleton: Skeleton) -> list[int]:
+    ends = [*skeleton.sides("Hip"), *skeleton.sides("Shoulder"), skeleton.index("Head")]
+    return [skeleton.root, *skeleton.ancestors(skeleton.girdle), *ends]
+
+
+def followed(take: Take, first: Take) -> Array:
+    """Return the joints of live motion [m], of a person measured in some frames."""
+    CLEANER.start(*CLEANER.measure(first))
+    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
+    return np.array([CLEANER.step(*frame).positions for frame in frames])
+
+
+@pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
+@pytest.mark.parametrize(
+    ("parts", "most"), [("root", 0.03), ("lower body", 0.06), ("trunk", 0.12)]
+)
+def test_people_walk_on_while_their_hips_are_hidden(
+    skeleton: Skeleton, parts: str, most: float
+) -> None:
+    """Live, they used to stay behind by over half a meter, and to leap after it."""
+    hidden = {"root": [skeleton.root, *skeleton.sides("Hip")]}
+    hidden |= {"lower body": lower_body(skeleton), "trunk": trunk(skeleton)}
+    take, gap = walk(skeleton), slice(60, 100)
+    blind, hips = without(take, hidden[parts], gap), list(skeleton.hips)
+    for of in (
+        lambda take: CLEANER.clean(take).clip.positions,
+        lambda blind: followed(blind, take.at(slice(30))),
+    ):
+        found, usual = of(blind), of(take)
+        off = np.linalg.norm(found[:, hips].mean(1) - usual[:, hips].mean(1), axis=1)
+        way = np.linalg.norm(np.ptp(usual[gap, hips].mean(axis=1), axis=0))
+        assert way > 0.6
+        assert off[gap].mean() < most
+        steps = np.linalg.norm(np.diff(found[55:110], axis=0), axis=2)
+        fastest = np.linalg.norm(np.diff(usual[55:110], axis=0), axis=2).max()
+        assert steps.max() < fastest + 0.08
+
+
+@pytest.mark.parametrize("legs", [False, True])
+def test_a_root_that_is_never_seen_is_below_the_trunk(legs: bool) -> None:
+    """Behind a desk, for one: it used to end in a traceback, or meters away."""
+    body = random_body(KINECT_V1, np.random.default_rng(0))
+    act = perform("wave", body, seed=0)
+    state = np.full(act.positions.shape[:2], State.TRACKED, dtype=np.uint8)
+    full = act.positions + np.array([0.0, 0.0, 2.5])
+    take = Take(act.time, full, state, KINECT_V1).at(slice(60))
+    lost = lower_body(KINECT_V1) if legs else [KINECT_V1.root]
+    blind = without(take, lost, slice(None))
+    cleaner = CLEANER.until("correct")
+    found, usual = (cleaner.whole(some).positions for some in (blind, take))
+    upper = [KINECT_V1.index(name) for name in ("HipCenter", "Head", "WristLeft")]
+    assert np.abs(found - usual)[:, upper].max() < 0.1
+    cleaner.start(*cleaner.measure(take))
+    frames = zip(blind.positions, blind.time.tolist(), blind.state, strict=True)
+    live = np.array([cleaner.step(*frame).positions for frame in frames])
+    assert np.abs(live - usual)[-1, upper].max() < 0.15
