@@ -22,7 +22,7 @@ from .continuity import planted_height
 from .hidden_limbs import PAUSE, fill_hidden, fill_unseen, point_unseen
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
-from .unseen_root import RootTracker, with_root
+from .unseen_root import unseen_root, upright_places, with_root
 from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, with_tips
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
@@ -69,7 +69,7 @@ class HiddenLimbTracker:
         """Reset the state for a new motion."""
         rows, n = 2 * _MEMORY, len(self._body.skeleton)
         self._count, self._gaps = 0, dict[int, _Gap]()
-        self._unseen_root = RootTracker(self._body)
+        self._places = upright_places(self._body)
         self._times, self._yaw = np.zeros((2, rows))
         self._root = np.zeros((rows, 3))
         self._positions, self._directions = np.zeros((2, rows, n, 3))
@@ -93,14 +93,16 @@ class HiddenLimbTracker:
         yaw = find_yaw(positions, skeleton, there.astype(float))
         if np.isnan(yaw):
             yaw = self._yaw[k - 1]
-        root = self._unseen_root.step(positions, yaw)
-        if np.isnan(root).any():
-            root = self._root[k - 1]
-        else:
-            there[skeleton.root] = True
+        root, yaw = positions[skeleton.root], np.asarray(yaw)
+        if gone := bool(hidden[skeleton.root] or np.isnan(root[0])):
+            root = unseen_root(positions, yaw, self._places, skeleton)
+            there[skeleton.root] = not np.isnan(root[0])
+            root = root if there[skeleton.root] else self._root[k - 1]
         self._root[k], self._yaw[k] = root, yaw
-        heading = HeadingFrame(root, np.asarray(yaw))
+        heading = HeadingFrame(root, yaw)
         placed = heading.remove(positions)
+        if not gone:
+            self._places[there] = placed[there]
         known = there & there[self._parents]
         known[skeleton.root] = True
         directions = unit(placed - placed[self._parents])

@@ -11,30 +11,29 @@ from kinefilter.characters.arrays import Array
 from kinefilter.retarget import HeadingFrame, find_yaw
 
 
-class RootTracker:
-    """Places the root of each frame; until it is seen, below the trunk as at rest."""
+def upright_places(body: Body) -> Array:
+    """Return where joints are relative to the root of an upright body, (J, 3)."""
+    rest = body.rest_positions - body.rest_positions[body.skeleton.root]
+    return np.asarray(rest * [1.0, 1.0, 0.0])
 
-    def __init__(self, body: Body) -> None:
-        self._skeleton, self._offsets = body.skeleton, _usual_offsets(body)
 
-    def step(self, positions: Array, yaw: Array) -> Array:
-        """Return the root of the next frame [m], (3,), NaN if no mark is seen.
+def unseen_root(
+    positions: Array, yaw: Array, places: Array, skeleton: Skeleton
+) -> Array:
+    """Return the root of a frame [m], (3,), NaN if no joint shows it.
 
-        Joint positions (J, 3) have y up, NaN where missing; the heading is in radians.
-        """
-        heading = HeadingFrame(np.zeros(3), yaw)
-        marks, offsets = _marks(heading.remove(positions), self._skeleton)
-        self._offsets = np.where(np.isnan(offsets), self._offsets, offsets)
-        root = positions[self._skeleton.root]
-        if np.isnan(root[0]):
-            root = heading.restore(_first_seen(marks + self._offsets)[None])[0]
-        return np.asarray(root)
+    Joint positions (J, 3) have y up, NaN where missing; the heading is in radians, and
+    ``places`` are those of joints relative to the root in the heading frame, (J, 3).
+    """
+    heading = HeadingFrame(np.zeros(3), yaw)
+    shown = _marks(heading.remove(positions), skeleton) - _marks(places, skeleton)
+    return np.asarray(heading.restore(_first_seen(shown)[None])[0])
 
 
 def with_root(time: Array, positions: Array, body: Body) -> Array:
-    """Return joints [m], (T, J, 3), with a root wherever one of its marks is seen.
+    """Return joints [m], (T, J, 3), with a root wherever another joint shows it.
 
-    Its place relative to them is interpolated. Time stamps [s] increase strictly,
+    Places relative to the root are interpolated. Time stamps [s] increase strictly,
     and positions have y up, NaN where missing.
     """
     skeleton = body.skeleton
@@ -46,25 +45,27 @@ def with_root(time: Array, positions: Array, body: Body) -> Array:
     turns = np.unwrap(yaw[facing]) if facing.any() else np.zeros(1)
     yaw = np.interp(time, time[facing] if facing.any() else time[:1], turns)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
-    marks, offsets = _marks(heading.remove(positions), skeleton)
-    for k, usual in enumerate(_usual_offsets(body)):
-        known = ~np.isnan(offsets[:, k, 0])
-        if not known.any():
-            offsets[:, k] = usual
-            continue
-        ends = time[known], offsets[known, k]
-        offsets[:, k] = np.stack([np.interp(time, ends[0], x) for x in ends[1].T], 1)
+    marks = _marks(heading.remove(positions), skeleton)
+    places = marks - heading.remove(positions[:, [skeleton.root]])
+    for k, usual in enumerate(_marks(upright_places(body), skeleton)):
+        known = ~np.isnan(places[:, k, 0])
+        seen, there = time[known], places[known, k]
+        for axis in range(3):
+            between = (
+                np.interp(time, seen, there[:, axis]) if len(seen) else usual[axis]
+            )
+            places[:, k, axis] = between
     rooted = positions.copy()
-    roots = heading.restore(_first_seen(marks + offsets)[:, None])[:, 0]
+    roots = heading.restore(_first_seen(marks - places)[:, None])[:, 0]
     rooted[gone, skeleton.root] = roots[gone]
     return rooted
 
 
-def _marks(placed: Array, skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return what shows the root, the best first, and the root's offsets from it.
+def _marks(placed: Array, skeleton: Skeleton) -> Array:
+    """Return what shows the root, the best first, shape (..., K, 3).
 
     These are the middles of hips, the spine's joints, the middle of shoulders, the
-    head, and the middles of knees and of elbows; both have shape (..., K, 3).
+    head, and the middles of knees and of elbows.
     """
     hips, shoulders, knees, elbows = (
         list(skeleton.sides(part)) for part in ("Hip", "Shoulder", "Knee", "Elbow")
@@ -72,14 +73,7 @@ def _marks(placed: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     spine = [[j] for j in reversed(skeleton.ancestors(skeleton.girdle))]
     head = [skeleton.index("Head")]
     marks = [hips, *spine, shoulders, head, knees, elbows]
-    places = np.stack([placed[..., joints, :].mean(axis=-2) for joints in marks], -2)
-    return places, placed[..., [skeleton.root], :] - places
-
-
-def _usual_offsets(body: Body) -> Array:
-    """Return the offsets of an upright trunk, shape (K, 3)."""
-    _, offsets = _marks(body.rest_positions, body.skeleton)
-    return offsets * [0.0, 1.0, 0.0]
+    return np.stack([placed[..., joints, :].mean(axis=-2) for joints in marks], -2)
 
 
 def _first_seen(roots: Array) -> Array:
