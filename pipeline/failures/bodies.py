@@ -203,10 +203,12 @@ def misplaced_frames(take: Take) -> tuple[Flags, Flags]:
     places, joints, time = middle[known], take.positions[known], take.time[known]
 
     def distance(first: Indices, last: Indices) -> Array:
-        """Return how far the body moves [m], (N,), by the joints that both show."""
-        moves = middles(joints[last] - joints[first])
-        moves = np.where(np.isnan(moves), places[last] - places[first], moves)
-        return np.asarray(np.linalg.norm(moves, axis=-1))
+        """Return how far the body moves at least [m], (N,).
+
+        Its middle seems to move where legs leave the view, but not its other joints.
+        """
+        moves = places[last] - places[first], middles(joints[last] - joints[first])
+        return np.asarray(np.fmin(*np.linalg.norm(moves, axis=-1)))
 
     there = np.arange(len(known))
     steps = distance(there[:-1], there[1:]) / np.maximum(np.diff(time), 1e-9)
