@@ -76,7 +76,7 @@ class HiddenLimbTracker:
         self._known = np.zeros((rows, n), dtype=np.bool_)
         self._joined = np.zeros(rows, dtype=np.bool_)
         self._bent, self._offset = np.zeros((2, n, 3))
-        self._since = np.full(n, np.inf)
+        self._since, self._gone = np.full(n, np.inf), np.zeros(n)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
         self._learned = -np.inf
 
@@ -211,13 +211,18 @@ class HiddenLimbTracker:
     def _join(self, filled: Array, hidden: Flags, elapsed: float) -> Array:
         """Return a frame in which limbs that are seen again return smoothly."""
         k, back = self._count, self._filled & ~hidden
+        elapsed = elapsed if k else 0.0
+        self._gone[hidden & ~self._filled] = 0.0
+        self._gone[hidden] += elapsed
         self._offset[back] = self._positions[k - 1][back] - filled[back]
         self._since[back] = 0.0
         self._filled = hidden.copy()
-        self._since += elapsed if k else 0.0
-        joining = (self._since < _JOINS) & ~hidden
+        self._since += elapsed
+        # Who is lost for a frame every now and then would lag all the time.
+        needed = np.minimum(self._gone, _JOINS)
+        joining = (self._since < needed) & ~hidden
         if joining.any():
-            left = 1.0 - smooth_step(self._since[joining] / _JOINS)
+            left = 1.0 - smooth_step(self._since[joining] / needed[joining])
             filled[joining] += left[:, None] * self._offset[joining]
         return filled
 
