@@ -74,6 +74,20 @@ def test_people_walk_on_while_their_hips_are_hidden(
         assert steps.max() < fastest + 0.08
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
+def test_people_of_whom_any_joint_may_be_missing_are_followed(share: float) -> None:
+    """A root that was missing now and then left directions of its bones unknown."""
+    take = walk(KINECT_V2)
+    flags = np.random.default_rng(0).random(take.state.shape) < share
+    flags[:30] = False
+    positions = np.where(flags[..., None], np.nan, take.positions)
+    state = np.where(flags, State.NOT_TRACKED, take.state).astype(np.uint8)
+    blind = replace(take, positions=positions, state=state)
+    found, usual = (followed(some, take.at(slice(30))) for some in (blind, take))
+    away = np.linalg.norm(found - usual, axis=2)
+    assert away.mean() < 0.25 * share
+
+
 @pytest.mark.parametrize("legs", [False, True])
 def test_a_root_that_is_never_seen_is_below_the_trunk(legs: bool) -> None:
     """Behind a desk, for one: it used to end in a traceback, or meters away."""

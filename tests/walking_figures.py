@@ -3,8 +3,9 @@
 ``python tests/walking_figures.py RECORDINGS... --train OTHERS...`` hides limbs for the
 middle 55 % of recordings, and legs below a raised edge of the view, which has an ankle
 below it in 40 % of the frames. It compares the hidden joints with those of the
-recording cleaned with nothing hidden, relative to the hips [cm], in the mean over
-people: held as they were last seen, without networks, in clips, and live.
+recording cleaned with nothing hidden, relative to the hips or, if these are hidden, in
+the room [cm], in the mean over people: held as they were last seen, without networks,
+in clips, and live.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 
 Array, Flags = NDArray[np.float64], NDArray[np.bool_]
 _EDGE = "below the view"
-_WAYS = ("right-arm", "arms", "left-leg", "shins", "legs", _EDGE)
+_HIPS = ("HipCenter", "SpineBase", "HipLeft", "HipRight")
+_IN_ROOM = {"hips": _HIPS, "hips and legs": (*_HIPS, *HIDDEN["legs"])}
+_WAYS = ("right-arm", "arms", "left-leg", "shins", "legs", _EDGE, *_IN_ROOM)
 _FRAMES = 600  # of each recording
 _CONFIG = CleanConfig(tilt=0.0, physics=False)
 
@@ -53,7 +56,7 @@ def hidden(take: Take, way: str) -> Flags:
         ankles = angle[:, list(take.skeleton.sides("Ankle"))].min(axis=1)
         return np.asarray(angle < np.nanpercentile(ankles, 40.0))
     middle = slice(round(0.225 * len(flags)), round(0.775 * len(flags)))
-    for j in HIDDEN[way]:
+    for j in (HIDDEN | _IN_ROOM)[way]:
         if j in take.skeleton.joints:
             flags[middle, take.skeleton.index(j)] = True
     return flags
@@ -64,9 +67,13 @@ def from_hips(motion: Array, skeleton: Skeleton) -> Array:
 
 
 def held(motion: Array, gone: Flags, skeleton: Skeleton) -> Array:
-    """Return a motion whose hidden joints keep their places in the heading frame."""
-    roots = motion[:, skeleton.root]
-    heading = HeadingFrame(roots, find_yaw(motion, skeleton))
+    """Return a motion whose hidden joints keep their places in the heading frame.
+
+    With a hidden root, they keep those in the room.
+    """
+    moves = float(not gone[:, skeleton.root].any())
+    roots = moves * motion[:, skeleton.root]
+    heading = HeadingFrame(roots, moves * find_yaw(motion, skeleton))
     found = heading.remove(motion)
     for j in range(len(skeleton)):
         seen = np.where(gone[:, j], 0, np.arange(len(gone)))
@@ -91,16 +98,15 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
     )
     clip, live = trained.clean(take).clip.positions, followed(take, trained)
     sums = np.zeros((len(_WAYS), 5))
-    scored = [
-        j.startswith(("Elbow", "Wrist", "Knee", "Ankle")) for j in skeleton.joints
-    ]
+    parts = ("Elbow", "Wrist", "Hip", "Knee", "Ankle")
+    scored = [j.startswith(parts) for j in skeleton.joints]
     for row, way in zip(sums, _WAYS, strict=True):
         flags = hidden(take, way)
         state = np.where(flags, State.NOT_TRACKED, take.state).astype(np.uint8)
         positions = np.where(flags[..., None], np.nan, take.positions)
         blind = replace(take, positions=positions, state=state)
         there = ~flags[:, list(skeleton.hips)].any(axis=1)
-        counted = flags & scored & there[:, None]
+        counted = flags & scored & (there | (way in _IN_ROOM))[:, None]
         pairs = (
             (held(clip, flags, skeleton), clip),
             (plain.clean(blind).clip.positions, clip),
@@ -108,7 +114,9 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
             (followed(blind, trained), live),
         )
         for k, motions in enumerate(pairs):
-            one, other = (from_hips(motion, skeleton) for motion in motions)
+            one, other = motions
+            if way not in _IN_ROOM:
+                one, other = (from_hips(motion, skeleton) for motion in motions)
             row[k] = 100.0 * np.linalg.norm(one - other, axis=2)[counted].sum()
         row[4] = counted.sum()
     return recording.name.partition("_")[0], sums

@@ -101,6 +101,7 @@ class HiddenLimbTracker:
         self._root[k], self._yaw[k] = root, yaw
         heading = HeadingFrame(root, yaw)
         placed = heading.remove(positions)
+        placed[skeleton.root] = 0.0
         if not gone:
             self._places[there] = placed[there]
         known = there & there[self._parents]
@@ -155,7 +156,6 @@ class HiddenLimbTracker:
     def _placed(self, placed: Array, there: Flags, directions: Array) -> Array:
         """Return a frame with its hidden joints on their segments, (J, 3)."""
         found = placed.copy()
-        found[self._body.skeleton.root] = 0.0
         for j in self._body.skeleton.order[1:]:
             if not there[j]:
                 bone = self._body.lengths[j] * directions[j]
