@@ -84,8 +84,8 @@ class HiddenLimbTracker:
         """Return the next frame's joint positions [m], and flags of filled joints.
 
         Positions are in the sensor frame with y up, shape (J, 3), and the time stamp
-        [s] is later than the last. Hands and feet that were never seen stay as they
-        are, and so does the trunk.
+        [s] is later than the last. Hands, feet and joints of the trunk that were never
+        seen stay as they are, except the root.
         """
         skeleton, k = self._body.skeleton, self._remember(time)
         hidden = with_tips(hidden, skeleton)
