@@ -27,7 +27,10 @@ from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, w
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
 _LEARNS = 0.1  # s for which a limb is hidden before the recent frames are learned from
-_JOINS = 0.2  # s in which a limb that is seen again returns to the measurement
+# s in which a limb that is seen again returns to the measurement at most, and times as
+# long as it was lost. Once is better where joints are lost at random (s06, s07, s08),
+# three times is no better before a virtual Kinect.
+_JOINS, _AS_LONG = 0.2, 2.0
 _SETTLES = 0.2  # s: time constant of the directions of a limb that was never seen
 _FADES = 0.1  # s in which what was learned fades in
 _STRETCH = 1.5  # s: length of the stretches to learn from
@@ -218,8 +221,8 @@ class HiddenLimbTracker:
         self._since[back] = 0.0
         self._filled = hidden.copy()
         self._since += elapsed
-        # Who is lost for a frame every now and then would lag all the time.
-        needed = np.minimum(self._gone, _JOINS)
+        # A limb that is lost for a frame every now and then would lag all the time.
+        needed = np.minimum(_AS_LONG * self._gone, _JOINS)
         joining = (self._since < needed) & ~hidden
         if joining.any():
             left = 1.0 - smooth_step(self._since[joining] / needed[joining])
