@@ -27,9 +27,9 @@ from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, w
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
 _LEARNS = 0.1  # s for which a limb is hidden before the recent frames are learned from
-# Longest time [s] in which a limb that is seen again returns to the measurement, and the
-# factor on the time for which it was lost. A factor of 1 is better where joints of s06,
-# s07 and s08 are missing at random, but worse before a virtual Kinect; 3 is no better.
+# Longest time [s] in which a limb that is seen again returns to the measurement, and
+# the factor on the time for which it was lost. 1 is better where joints of s06, s07 and
+# s08 are missing at random, but worse before a virtual Kinect, where 3 is no better.
 _JOINS, _AS_LONG = 0.2, 2.0
 _SETTLES = 0.2  # s: time constant of the directions of a limb that was never seen
 _FADES = 0.1  # s in which what was learned fades in
