@@ -147,7 +147,7 @@ def test_where_nothing_is_hidden_nothing_is_wrong(
 
 @paired
 def test_cleaned_limbs_that_were_hidden_are_much_nearer_than_held_ones() -> None:
-    """Of one of the people who taught the prior. Without legs, frames were dropped."""
+    """Of one of the people who taught the prior; frames beside gaps were once lost."""
     pairs = read_pairs(PAIRS / "s08.npz")[::24]
     options = HiddenLimbs(("legs", "arms"), physics=False)
     records, _ = measure_hidden(pairs, ["none"], options)

@@ -273,7 +273,7 @@ def test_frame_by_frame_seen_joints_stay_and_limbs_are_joined_soon() -> None:
     assert steps.max() < 3.0 * fastest
 
 
-def test_limbs_that_are_lost_now_and_then_do_not_lag() -> None:
+def test_limbs_that_are_lost_now_and_then_hardly_lag() -> None:
     truth = waving(240)
     hidden = hidden_in(240, ARM, *(slice(k, k + 1) for k in range(60, 240, 3)))
     found, arm = tracked(truth, hidden)[:, ARM], truth[:, ARM]

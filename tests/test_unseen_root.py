@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import KINECT_V1, KINECT_V2, Skeleton, State, Take
+from kinefilter.pipeline.lab.evaluate import followed
 from kinefilter.pipeline.lab.simulation import simulate, truth_of
 from kinefilter.scenes.library import perform, random_body
 
@@ -41,11 +42,9 @@ def trunk(skeleton: Skeleton) -> list[int]:
     return [skeleton.root, *skeleton.ancestors(skeleton.girdle), *ends]
 
 
-def followed(take: Take, first: Take) -> Array:
-    """Return the joints of live motion [m], of a person measured in some frames."""
-    CLEANER.start(*CLEANER.measure(first))
-    frames = zip(take.positions, take.time.tolist(), take.state, strict=True)
-    return np.array([CLEANER.step(*frame).positions for frame in frames])
+def live(take: Take) -> Array:
+    """Return the joints of live motion [m]; the first second measures the person."""
+    return followed(CLEANER, take, take.at(slice(30)))
 
 
 @pytest.mark.parametrize("skeleton", [KINECT_V1, KINECT_V2])
@@ -62,7 +61,7 @@ def test_people_walk_on_while_their_hips_are_hidden(
     blind, hips = without(take, hidden[parts], gap), list(skeleton.hips)
     for of in (
         lambda take: CLEANER.clean(take).clip.positions,
-        lambda blind: followed(blind, take.at(slice(30))),
+        live,
     ):
         found, usual = of(blind), of(take)
         off = np.linalg.norm(found[:, hips].mean(1) - usual[:, hips].mean(1), axis=1)
@@ -83,7 +82,7 @@ def test_people_of_whom_any_joint_may_be_missing_are_followed(share: float) -> N
     positions = np.where(flags[..., None], np.nan, take.positions)
     state = np.where(flags, State.NOT_TRACKED, take.state).astype(np.uint8)
     blind = replace(take, positions=positions, state=state)
-    found, usual = (followed(some, take.at(slice(30))) for some in (blind, take))
+    found, usual = (live(some) for some in (blind, take))
     away = np.linalg.norm(found - usual, axis=2)
     assert away.mean() < 0.25 * share
 
@@ -102,7 +101,5 @@ def test_a_root_that_is_never_seen_is_below_the_trunk(legs: bool) -> None:
     found, usual = (cleaner.whole(some).positions for some in (blind, take))
     upper = [KINECT_V1.index(name) for name in ("HipCenter", "Head", "WristLeft")]
     assert np.abs(found - usual)[:, upper].max() < 0.1
-    cleaner.start(*cleaner.measure(take))
-    frames = zip(blind.positions, blind.time.tolist(), blind.state, strict=True)
-    live = np.array([cleaner.step(*frame).positions for frame in frames])
-    assert np.abs(live - usual)[-1, upper].max() < 0.15
+    stepped = followed(cleaner, blind, take)
+    assert np.abs(stepped - usual)[-1, upper].max() < 0.15

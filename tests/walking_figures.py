@@ -24,6 +24,7 @@ from kinefilter import CleanConfig, Cleaner
 from kinefilter.characters import Skeleton, State, Take
 from kinefilter.characters.motion import distinct_stamps
 from kinefilter.pipeline.commands.terminal import out
+from kinefilter.pipeline.lab.evaluate import followed
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN
 from kinefilter.pipeline.lab.limb_lessons import (
     joined,
@@ -81,14 +82,6 @@ def held(motion: Array, gone: Flags, skeleton: Skeleton) -> Array:
     return heading.restore(found)
 
 
-def followed(take: Take, cleaner: Cleaner) -> Array:
-    """Return the joints [m] of live motion, (T, J, 3)."""
-    cleaner.start(*cleaner.measure(take))
-    frames = zip(take.positions, take.time, take.state, strict=True)
-    drafts = [cleaner.step(joints, float(s), state) for joints, s, state in frames]
-    return np.array([draft.positions for draft in drafts])
-
-
 def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
     """Return the person; sums of the four errors [cm], and joints, for each way."""
     take, skeleton = recording.take, recording.take.skeleton
@@ -96,7 +89,7 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
     plain, trained = (
         with_prior(Cleaner(_CONFIG), _CONFIG, each) for each in (MotionPrior({}), prior)
     )
-    clip, live = trained.clean(take).clip.positions, followed(take, trained)
+    clip, live = trained.clean(take).clip.positions, followed(trained, take, take)
     sums = np.zeros((len(_WAYS), 5))
     parts = ("Elbow", "Wrist", "Hip", "Knee", "Ankle")
     scored = [j.startswith(parts) for j in skeleton.joints]
@@ -111,7 +104,7 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
             (held(clip, flags, skeleton), clip),
             (plain.clean(blind).clip.positions, clip),
             (trained.clean(blind).clip.positions, clip),
-            (followed(blind, trained), live),
+            (followed(trained, blind, blind), live),
         )
         for k, motions in enumerate(pairs):
             one, other = motions

@@ -22,6 +22,7 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
+from .unseen_root import interpolated_yaw
 from .windows import (
     BridgedMotion,
     Descriptions,
@@ -91,14 +92,10 @@ def bridged_motion(time: Array, positions: Array, skeleton: Skeleton) -> Bridged
     edges = [0, *np.flatnonzero(steps >= _BREAK).tolist(), len(time)]
     stretches = [slice(a, b) for a, b in pairwise(edges)]
     there = ~np.isnan(positions[..., 0])
-    root, frames = positions[:, skeleton.root], np.arange(len(time))
+    root = positions[:, skeleton.root]
     if there[:, skeleton.root].any():
         root = _bridged(root, there[:, skeleton.root], rate, stretches)
-    yaw = find_yaw(positions, skeleton)
-    facing = ~np.isnan(yaw)
-    if facing.any():
-        yaw = np.interp(frames, frames[facing], np.unwrap(yaw[facing]))
-    heading = HeadingFrame(root, yaw if facing.any() else np.zeros(len(yaw)))
+    heading = HeadingFrame(root, interpolated_yaw(positions, skeleton))
     placed, parents = heading.remove(positions), np.array(skeleton.parents)
     bones = placed - placed[:, parents]
     known = there & there[:, parents]

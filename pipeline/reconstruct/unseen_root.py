@@ -40,10 +40,7 @@ def with_root(time: Array, positions: Array, body: Body) -> Array:
     gone = np.isnan(positions[:, skeleton.root, 0])
     if not gone.any():
         return positions
-    yaw = find_yaw(positions, skeleton)
-    facing = ~np.isnan(yaw)
-    turns = np.unwrap(yaw[facing]) if facing.any() else np.zeros(1)
-    yaw = np.interp(time, time[facing] if facing.any() else time[:1], turns)
+    yaw = interpolated_yaw(positions, skeleton)
     heading = HeadingFrame(np.zeros((len(time), 3)), yaw)
     marks = _marks(heading.remove(positions), skeleton)
     places = marks - heading.remove(positions[:, [skeleton.root]])
@@ -59,6 +56,18 @@ def with_root(time: Array, positions: Array, body: Body) -> Array:
     roots = heading.restore(_first_seen(marks - places)[:, None])[:, 0]
     rooted[gone, skeleton.root] = roots[gone]
     return rooted
+
+
+def interpolated_yaw(positions: Array, skeleton: Skeleton) -> Array:
+    """Return the headings of frames [rad], (T,), interpolated where unknown.
+
+    They are 0 if no frame shows one. Positions [m] (T, J, 3) have y up.
+    """
+    yaw, frames = find_yaw(positions, skeleton), np.arange(len(positions))
+    known = ~np.isnan(yaw)
+    if not known.any():
+        return np.zeros(len(yaw))
+    return np.interp(frames, frames[known], np.unwrap(yaw[known]))
 
 
 def _marks(placed: Array, skeleton: Skeleton) -> Array:
