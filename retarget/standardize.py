@@ -26,6 +26,7 @@ from kinefilter.characters.rotations import (
     multiply,
     rotate,
 )
+from kinefilter.characters.skeleton import SIDES
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,8 @@ def measured_body(
 ) -> Body:
     """Return the body of a person whose segments were measured.
 
-    Left and right get the mean of both. Segments that were not measured get average
+    Left and right get the mean of both. Unmeasured legs follow from arms and trunk, and
+    arms from legs and trunk. Other segments that were not measured get average
     proportions, and so do those that differ from them by a factor of 1.6 or more (2 for
     shoulders and hips, 4 along the trunk), both hips if they are narrower by 1.6, and
     directions of hips and shoulders more ahead or behind than to the side. Segment
@@ -136,12 +138,10 @@ def measured_body(
     InputError says if they are not human.
     """
     average = standard_body(skeleton).lengths
-    known = _mean_of_sides(skeleton, np.where(lengths > 0, lengths, np.nan))
+    lengths = _with_limbs(skeleton, np.where(lengths > 0, lengths, np.nan), average)
+    known = _mean_of_sides(skeleton, lengths)
     legs = [skeleton.index("KneeLeft"), skeleton.index("AnkleLeft")]
     stack = [*legs, *skeleton.ancestors(skeleton.index("Head"))]
-    arms = [skeleton.index("ElbowLeft"), skeleton.index("WristLeft")]
-    if np.isnan(known[legs]).all() and np.isfinite(known[arms]).all():
-        stack = arms  # tell a stature better than the trunk, which has no landmarks
     upright = [j for j in stack if np.isfinite(known[j])]
     share = known[upright].sum() / average[upright].sum() if upright else 1.0
     stature = STANDARD_HEIGHT * float(share)
@@ -169,6 +169,30 @@ def measured_body(
     plausible = (norms > 0.5) & ~ahead[:, None]
     turned = np.where(plausible, both / np.maximum(norms, 0.5), body.directions)
     return replace(body, lengths=lengths, directions=turned)
+
+
+# Length of trunk, thigh and shank together, in lengths of an arm. Sensors differ in how
+# high they see the hips, but not in this: as seen, it is 2.59 in CMU's mocap, 2.53 in
+# p00 to p08 of two-kinects and 2.57 in s02, s03 and s04; after correction 2.62 to 2.66.
+_TRUNK_AND_LEG = 2.6
+
+
+def _with_limbs(skeleton: Skeleton, lengths: Array, average: Array) -> Array:
+    """Return lengths [m] (J,) in which arms tell those of unseen legs, or the reverse."""
+    arm, leg = (
+        [skeleton.index(part + SIDES[0]) for part in parts]
+        for parts in (("Elbow", "Wrist"), ("Knee", "Ankle"))
+    )
+    stack, found = [*skeleton.ancestors(skeleton.girdle), *leg], lengths.copy()
+    known = _mean_of_sides(skeleton, lengths)
+    for limb, gone, length in (
+        (leg, stack, _TRUNK_AND_LEG * known[arm].sum() - np.nansum(known[stack])),
+        (arm, arm, known[stack].sum() / _TRUNK_AND_LEG),
+    ):
+        if np.isnan(known[limb]).all() and length > 0.0:
+            some = [j for j in gone if np.isnan(known[j])]
+            found[some] = average[some] * (length / average[some].sum())
+    return found
 
 
 def _mean_of_sides(skeleton: Skeleton, values: Array, signs: Any = 1.0) -> Array:

@@ -295,15 +295,15 @@ def test_left_and_right_share_their_mean_and_one_serves_for_both() -> None:
             assert body.lengths[i(joint + side)] == pytest.approx(length)
 
 
-def test_unseen_legs_are_as_long_as_the_arms_suggest() -> None:
-    average = standard_body(KINECT_V1).lengths
-    legs = [j for part in ("Knee", "Ankle", "Foot") for j in KINECT_V1.sides(part)]
-    arms = [j for part in ("Elbow", "Wrist", "Hand") for j in KINECT_V1.sides(part)]
-    lengths = 1.1 * average
-    lengths[arms], lengths[legs] = 0.9 * average[arms], np.nan
-    body = measured_body(KINECT_V1, lengths)
-    np.testing.assert_allclose(body.lengths[legs], 0.9 * average[legs])
-    assert body.height == pytest.approx(0.9 * STANDARD_HEIGHT)
+@pytest.mark.parametrize("unseen", [("Knee", "Ankle"), ("Elbow", "Wrist")])
+def test_trunk_and_leg_are_2_6_times_as_long_as_an_arm(unseen: tuple[str, str]) -> None:
+    i, lengths = KINECT_V1.index, 1.05 * standard_body(KINECT_V1).lengths
+    lengths[[j for part in unseen for j in KINECT_V1.sides(part)]] = np.nan
+    found = measured_body(KINECT_V1, lengths).lengths
+    trunk = found[[i("Spine"), i("ShoulderCenter")]].sum()
+    leg, arm = found[i("KneeLeft")] + found[i("AnkleLeft")], found[i("ElbowRight")]
+    assert trunk + leg == pytest.approx(2.6 * (arm + found[i("WristRight")]))
+    np.testing.assert_allclose(found, np.where(np.isnan(lengths), found, lengths))
 
 
 @pytest.mark.parametrize(

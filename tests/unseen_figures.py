@@ -77,8 +77,13 @@ def held(
 def errors(
     take: Take, hidden: str, plain: Cleaner, trained: Cleaner
 ) -> Iterator[list[float]]:
-    """Yield a take's errors [cm] for each of LIMBS: simple, without, with networks."""
-    seen, skeleton = trained.clean(take).clip.positions, take.skeleton
+    """Yield a take's errors [cm] for each of LIMBS: simple, without, with networks.
+
+    The last row is the share of frames [%] in which a foot stands: of what was seen,
+    without and with networks, where LIMBS[-1] is hidden.
+    """
+    whole, skeleton = trained.clean(take).clip, take.skeleton
+    seen = whole.positions
     count, half = len(seen), len(seen) // 2
     spans = slice(0, count), slice(0, half), slice(half, count)
     frames = dict(zip(SPANS, spans, strict=True))[hidden]
@@ -89,7 +94,8 @@ def errors(
             found = [hanging(seen, skeleton, joints)]
         else:
             found = [held(seen, skeleton, joints, frames)]
-        found += [cleaner.clean(blind).clip.positions for cleaner in (plain, trained)]
+        clips = [cleaner.clean(blind).clip for cleaner in (plain, trained)]
+        found += [clip.positions for clip in clips]
         names = ("Elbow", "Wrist", "Knee", "Ankle")
         scored = [j for j in joints if skeleton.joints[j].startswith(names)]
         limbs = [
@@ -98,6 +104,8 @@ def errors(
             for motion in (seen, *found)
         ]
         yield [100 * np.linalg.norm(m - limbs[0], axis=2).mean() for m in limbs[1:]]
+    stands = (clip.contacts[frames].any(axis=1) for clip in (whole, *clips))
+    yield [100 * each.mean() for each in stands]
 
 
 def main() -> None:
@@ -138,10 +146,12 @@ def main() -> None:
         shown = found.mean(axis=0).round(1).tolist()
         out.print(f"{person or 'takes'} {len(takes)} {shown}", soft_wrap=True)
         rows.append(found.mean(axis=0))
-    for row, figures in zip(product(spans, LIMBS), np.mean(rows, axis=0), strict=True):
-        shown = figures.round(1).tolist()
+    lines = product(spans, (*LIMBS, "a foot stands"))
+    for (span, limb), figures in zip(lines, np.mean(rows, axis=0), strict=True):
         text = "simple guess, without networks, with, cm:"
-        out.print(*row, text, shown, soft_wrap=True)
+        if limb not in LIMBS:
+            text = "as seen, without networks, with, %:"
+        out.print(span, limb, text, figures.round(1).tolist(), soft_wrap=True)
 
 
 if __name__ == "__main__":

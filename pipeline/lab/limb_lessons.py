@@ -18,10 +18,12 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from sklearn.neural_network import MLPRegressor
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.motion import distinct_stamps
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
@@ -44,6 +46,13 @@ from kinefilter.pipeline.reconstruct.prior import (
     standing_height,
 )
 from kinefilter.pipeline.reconstruct.stage import hidden_joints
+from kinefilter.pipeline.reconstruct.unseen_steps import (
+    GAIT_TIMES,
+    PACE,
+    WALKS,
+    gait_inputs,
+    motion_at,
+)
 from kinefilter.pipeline.reconstruct.windows import (
     BridgedMotion,
     Limb,
@@ -72,6 +81,9 @@ _SHRINKAGE = {"arm": 0.8, "forearm": 0.8, "leg": 1.0, "shin": 0.5}
 # all CMU mocap, all other takes, or all people with two sensors.
 _UNSEEN_NOISE = 0.3
 _UNSEEN_SHRINKAGE = {"arm": 0.7, "forearm": 1.0, "leg": 0.85, "shin": 0.7}
+# Of the gait: s over which ankles are smoothed, Hz of the frames, and the penalty,
+# chosen on CMU's 02, 05, 07, 10, 16, 29 and 32 and on p00 to p08.
+_GAIT_SMOOTHED, _GAIT_RATE, _GAIT_PENALTY = 0.05, 30.0, 0.1
 _SMALL = 0.02  # m: smaller errors count as their squares, as in the pseudo-Huber loss
 _LARGE = 0.06  # m: error for which the loss is about one; the penalty is relative to it
 _SPREAD_FLOOR = 0.1  # added to the spread of inputs, to ignore nearly constant ones
@@ -127,6 +139,7 @@ def lesson_of(recording: NamedTake, modes: Sequence[Mode]) -> Lesson:
                 parts.extend(_hidden_rows(stretch, modes))
     if "unseen" in modes:
         parts.extend(_unseen_rows(seen, recording.share, rng))
+        parts.extend(_gait_rows(draft.time, seen))
     return Lesson(recording.person, recording.movement, _concatenated(parts))
 
 
@@ -164,6 +177,40 @@ def _unseen_rows(
         base = np.broadcast_to(HANGING, truth.shape)
         rows = Rows(*(a.astype(np.float32) for a in (inputs, base, truth)))
         yield {network_name(part, "unseen"): rows}
+
+
+def _gait_rows(time: Array, seen: BridgedMotion) -> Iterator[Lessons]:
+    """Yield training data of the gait of people who walk forward.
+
+    The truth is how far the left ankle is ahead of the right one [m], and the rate of
+    that, divided by that of the walk's cycle.
+    """
+    skeleton, new = seen.skeleton, distinct_stamps(time)
+    positions, time = seen.heading.restore(seen.positions)[new], time[new]
+    ankles = skeleton.sides("Ankle")
+    level = positions[:, ankles][..., [0, 2]]
+    spread = _GAIT_SMOOTHED * seen.rate
+    apart = gaussian_filter1d(level[:, 0] - level[:, 1], spread, axis=0)
+    faster = np.gradient(apart, time, axis=0) / PACE
+    shown = seen.known[new][:, ankles].all(axis=1) & np.isfinite(positions).all(
+        axis=(1, 2)
+    )
+    for mode, around in GAIT_TIMES.items():
+        inside = (time >= time[0] - around[0]) & (time <= time[-1] - around[-1])
+        frames = np.flatnonzero(inside & shown)[
+            :: max(round(seen.rate / _GAIT_RATE), 1)
+        ]
+        if not len(frames):
+            continue
+        motion = motion_at(time, positions, time[frames, None] + around)
+        inputs, ahead, way = gait_inputs(motion, skeleton)
+        legs = apart[frames], faster[frames]
+        truth = np.stack([np.sum(part * ahead, axis=1) for part in legs], axis=1)
+        walks = way > WALKS * (around[-1] - around[0])
+        if walks.any():
+            arrays = inputs[walks], np.zeros_like(truth[walks]), truth[walks]
+            rows = Rows(*(array.astype(np.float32) for array in arrays))
+            yield {network_name("gait", mode): rows}
 
 
 def _limb(
@@ -209,8 +256,25 @@ def _concatenated(parts: Iterable[Lessons]) -> Lessons:
 def train_prior(lessons: Lessons, executor: Executor | None = None) -> MotionPrior:
     """Train a network on each set of training data, at the same time by an executor."""
     each = map if executor is None else executor.map
-    networks = each(_network, lessons, lessons.values())
+    networks = each(_trained, lessons, lessons.values())
     return MotionPrior(dict(zip(lessons, networks, strict=True)))
+
+
+def _trained(name: str, rows: Rows) -> tuple[Array, Network]:
+    if name.startswith("gait"):
+        return _gait_map(rows)
+    return _network(name, rows)
+
+
+def _gait_map(rows: Rows) -> tuple[Array, Network]:
+    """Return ridge regression without an offset, for mirrored gaits are opposite."""
+    inputs, truth = rows.inputs.astype(float), rows.truth.astype(float)
+    size = np.sqrt(np.mean(inputs**2, axis=0))
+    given = inputs / size
+    gram = given.T @ given + _GAIT_PENALTY * len(given) * np.eye(len(size))
+    weights = np.linalg.solve(gram, given.T @ truth) / size[:, None]
+    layer = (weights / OUTPUT).astype(np.float32), np.zeros(truth.shape[1], np.float32)
+    return np.zeros(len(size)), [layer]
 
 
 def _network(name: str, rows: Rows) -> tuple[Array, Network]:
@@ -299,10 +363,10 @@ def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
     percent = {}
     for name, rows in lessons.items():
         change = prior.change(name, rows.inputs.astype(float)).reshape(rows.base.shape)
-        error, plain = (
-            np.linalg.norm(unit(directions) - rows.truth, axis=-1).mean()
-            for directions in (rows.base + change, rows.base.astype(float))
-        )
+        found = rows.base + change, rows.base.astype(float)
+        if not name.startswith("gait"):
+            found = unit(found[0]), unit(found[1])
+        error, plain = (np.linalg.norm(f - rows.truth, axis=-1).mean() for f in found)
         percent[name] = round(float(error / plain * 100), 1)
     return percent
 

@@ -23,6 +23,7 @@ from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
 from .unseen_root import interpolated_yaw
+from .unseen_steps import both_legs, step_unseen
 from .windows import (
     BridgedMotion,
     Descriptions,
@@ -294,4 +295,6 @@ def fill_unseen(
     for j in skeleton.order:
         if pointed[j]:
             placed[:, j] = placed[:, skeleton.parents[j]] + bones[:, j]
+    if both_legs(pointed, skeleton):
+        step_unseen(time, placed, heading, body, prior)
     return np.where(pointed[:, None], heading.restore(placed), positions), pointed

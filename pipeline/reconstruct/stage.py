@@ -23,6 +23,15 @@ from .hidden_limbs import PAUSE, fill_hidden, fill_unseen, point_unseen
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
 from .unseen_root import unseen_root, upright_places, with_root
+from .unseen_steps import (
+    GAIT_TIMES,
+    Steps,
+    both_legs,
+    gait,
+    lifts,
+    motion_at,
+    put_feet,
+)
 from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, with_tips
 
 _MEMORY = 1800  # frames to learn from: a minute at 30 Hz
@@ -35,6 +44,9 @@ _SETTLES = 0.2  # s: time constant of the directions of a limb that was never se
 _FADES = 0.1  # s in which what was learned fades in
 _STRETCH = 1.5  # s: length of the stretches to learn from
 _NEW = 0.03  # weight of a frame in the mean angle of a hand: about a second
+# s by which an unseen foot steps ahead of the posture, at the speed of the last frames,
+# and the time over which that is measured. Chosen as those in ``unseen_steps``.
+_AHEAD, _SPEED_TIME = 0.15, 0.3
 _RATE = 30.0  # Hz, until the stream shows its own
 
 
@@ -82,6 +94,7 @@ class HiddenLimbTracker:
         self._since, self._gone = np.full(n, np.inf), np.zeros(n)
         self._filled, self._ever = np.zeros((2, n), dtype=np.bool_)
         self._learned = -np.inf
+        self._steps: Steps | None = None
 
     def step(self, positions: Array, hidden: Flags, time: float) -> tuple[Array, Flags]:
         """Return the next frame's joint positions [m], and flags of filled joints.
@@ -137,6 +150,10 @@ class HiddenLimbTracker:
             else:
                 self._gaps.pop(limb, None)
         filled = self._placed(placed, there, self._directions[k])
+        if both_legs(pointed, skeleton):
+            self._step_feet(filled, heading, k)
+        else:
+            self._steps = None
         self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])
         self._count, placeable = k + 1, self._ever | pointed
         found = heading.restore(self._positions[k])
@@ -164,6 +181,26 @@ class HiddenLimbTracker:
                 bone = self._body.lengths[j] * directions[j]
                 found[j] = found[self._parents[j]] + bone
         return found
+
+    def _step_feet(self, placed: Array, heading: HeadingFrame, k: int) -> None:
+        """Let unseen legs step in the frame of row k, in place (J, 3)."""
+        skeleton, time = self._body.skeleton, self._times[: k + 1]
+        homes = heading.restore(placed)[skeleton.sides("Ankle")]
+        first = int(np.searchsorted(time, time[k] + GAIT_TIMES["before"][0]))
+        some = slice(max(first - 1, 0), k + 1)
+        frames = HeadingFrame(self._root[some], self._yaw[some])
+        motion = frames.restore(self._positions[some])
+        shown = time[some], motion, time[[k]]
+        cycle, speed = gait(*shown, "before", self._prior, skeleton)
+        if self._steps is None:
+            self._steps = Steps(homes)
+        recent = motion_at(time[some], self._root[some], time[k] - _SPEED_TIME)
+        way = (self._root[k] - recent) * [1.0, 0.0, 1.0]
+        goals = homes + _AHEAD / _SPEED_TIME * way
+        elapsed = float(time[k] - time[k - 1]) if k else 0.0
+        ankles, shares = self._steps.step(elapsed, goals, float(cycle[0]))
+        ankles[:, 1] = homes[:, 1] + lifts(shares, speed[0])
+        put_feet(placed, heading.remove(ankles), self._body)
 
     def _continue(self, key: int, joints: tuple[int, int, int], k: int) -> None:
         """Continue the motion of a hidden limb in the frame of row k."""
