@@ -178,7 +178,7 @@ _TRUNK_AND_LEG = 2.6
 
 
 def _with_limbs(skeleton: Skeleton, lengths: Array, average: Array) -> Array:
-    """Return lengths [m] (J,) in which arms tell those of unseen legs, or the reverse."""
+    """Return lengths [m] (J,) in which seen arms tell unseen legs, or the reverse."""
     arm, leg = (
         [skeleton.index(part + SIDES[0]) for part in parts]
         for parts in (("Elbow", "Wrist"), ("Knee", "Ankle"))
