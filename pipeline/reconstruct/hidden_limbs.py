@@ -23,7 +23,7 @@ from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
 from .unseen_root import interpolated_yaw
-from .unseen_steps import both_legs, step_unseen
+from .unseen_steps import both_legs, step_hidden, step_unseen
 from .windows import (
     BridgedMotion,
     Descriptions,
@@ -284,6 +284,40 @@ def fill_unseen(
     skeleton, root = body.skeleton, positions[:, body.skeleton.root]
     if not unseen[in_limbs(skeleton)].any() or np.isnan(root).any():
         return positions, np.zeros_like(unseen)
+    placed, heading, pointed = _likely(time, positions, unseen, body, prior)
+    if both_legs(pointed, skeleton):
+        step_unseen(time, placed, heading, body, prior)
+    return np.where(pointed[:, None], heading.restore(placed), positions), pointed
+
+
+def fill_walking(
+    time: Array, positions: Array, hidden: Flags, body: Body, prior: MotionPrior
+) -> Array:
+    """Return positions [m] in which legs of walkers step while both are hidden.
+
+    They were filled before. Arguments are as for ``fill_unseen``, and ``hidden`` says
+    which joints were filled, (T, J).
+    """
+    skeleton = body.skeleton
+    legs = np.isin(skeleton.kinds, ("Knee", "Ankle"))
+    filled = np.isfinite(positions[:, legs]).all(axis=(1, 2))
+    gone = np.asarray(hidden[:, legs].all(axis=1) & filled)
+    if not gone.any() or gone.all() or np.isnan(positions[:, skeleton.root]).any():
+        return positions
+    placed, heading, pointed = _likely(time, positions, legs, body, prior)
+    if not both_legs(pointed, skeleton):
+        return positions
+    return step_hidden(time, positions, placed, heading, gone, body, prior)
+
+
+def _likely(
+    time: Array, positions: Array, unseen: Flags, body: Body, prior: MotionPrior
+) -> tuple[Array, HeadingFrame, Flags]:
+    """Return joints [m] in the heading frame, where unseen limbs likely are, and it.
+
+    The flags (J,) say which joints were placed.
+    """
+    skeleton, root = body.skeleton, positions[:, body.skeleton.root]
     heading = HeadingFrame(root, np.nan_to_num(find_yaw(positions, skeleton)))
     placed = heading.remove(positions)
     bones = placed - placed[:, skeleton.parents]
@@ -295,6 +329,4 @@ def fill_unseen(
     for j in skeleton.order:
         if pointed[j]:
             placed[:, j] = placed[:, skeleton.parents[j]] + bones[:, j]
-    if both_legs(pointed, skeleton):
-        step_unseen(time, placed, heading, body, prior)
-    return np.where(pointed[:, None], heading.restore(placed), positions), pointed
+    return placed, heading, pointed

@@ -19,7 +19,7 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from kinefilter.retarget.limbs import smooth_step
 
 from .continuity import planted_height
-from .hidden_limbs import PAUSE, fill_hidden, fill_unseen, point_unseen
+from .hidden_limbs import PAUSE, fill_hidden, fill_unseen, fill_walking, point_unseen
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import Recall, learn
 from .unseen_root import unseen_root, upright_places, with_root
@@ -326,10 +326,11 @@ class Reconstruct(Stage):
             hidden = np.concatenate([blind, hidden])
             first += int(new.sum())
         filled, which = fill_hidden(time, positions, hidden, skeleton, self._prior)
-        own, prior = filled[first:], self._prior or default_prior()
+        which, prior = which[first:], self._prior or default_prior()
+        own = fill_walking(draft.time, filled[first:], which, draft.body, prior)
         unseen = np.asarray(hidden.all(axis=0))
         found = fill_unseen(draft.time, own, unseen, draft.body, prior)
-        draft.filled, draft.hidden = found[0], which[first:] | found[1]
+        draft.filled, draft.hidden = found[0], which | found[1]
         draft.hidden[:, skeleton.root] |= placed
 
 

@@ -6,9 +6,11 @@ recordings in which legs were seen (``pipeline.lab.limb_lessons``), gives the cy
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from kinefilter.characters import Body, Skeleton
-from kinefilter.characters.arrays import Array, Flags, runs
+from kinefilter.characters.arrays import Array, Flags, chunks, runs
+from kinefilter.characters.motion import nominal_step
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.limbs import smooth_step
 
@@ -32,6 +34,9 @@ _REACH = 0.15  # m from there at which it steps
 _NEAR = 0.1  # the same for the foot that swings in a walk
 _ALTERNATES = 0.6  # share of the other foot's distance at which the next foot steps
 _STEP, _QUICKEST = 0.4, 0.2  # s of a step while nobody walks, and of the fastest
+# s: least duration of a gap whose legs step; of the return to filled legs at its ends;
+# and over which a walk begins and ends there.
+_LEAST, _FADES, _RAMP = 0.5, 1.0, 0.3
 _PER_SPEED, _LIFTS = 0.16, (0.04, 0.2)  # s: the highest lift by speed, and its range
 
 
@@ -97,9 +102,11 @@ def gait(
     In the cycle, the left foot swings from -1 to 0 and the right one from 0 to 1; it is
     NaN where nobody walks.
     """
-    around = GAIT_TIMES[mode]
-    motion = motion_at(time, positions, at[:, None] + around)
-    inputs, _, way = gait_inputs(motion, skeleton)
+    around, parts = GAIT_TIMES[mode], []
+    for some in chunks(len(at)):  # which bounds the memory
+        motion = motion_at(time, positions, at[some, None] + around)
+        parts.append(gait_inputs(motion, skeleton)[::2])
+    inputs, way = (np.concatenate(part) for part in zip(*parts, strict=True))
     speed = way / (around[-1] - around[0])
     if (name := network_name("gait", mode)) not in prior.networks:
         return np.full(len(at), np.nan), speed
@@ -178,14 +185,59 @@ def step_unseen(
     skeleton, positions = body.skeleton, heading.restore(placed)
     homes = positions[:, skeleton.sides("Ankle")]
     cycle, speed = gait(time, positions, time, "between", prior, skeleton)
+    ankles = _stepping(time, homes, homes[0], cycle, speed)
+    put_feet(placed, heading.remove(ankles), body)
+
+
+def step_hidden(
+    time: Array,
+    positions: Array,
+    placed: Array,
+    heading: HeadingFrame,
+    gone: Flags,
+    body: Body,
+    prior: MotionPrior,
+) -> Array:
+    """Return joints [m] (T, J, 3) in which legs of walkers step while they are hidden.
+
+    Both legs are ``gone`` in some frames, (T,). In ``positions`` they were filled, and
+    stay so near the ends of gaps; ``placed`` has them as the posture has them, in the
+    heading frame.
+    """
+    skeleton, rate = body.skeleton, 1.0 / nominal_step(time)
+    ankles = skeleton.sides("Ankle")
+    cycle, speed = gait(time, positions, time, "between", prior, skeleton)
+    walks = gaussian_filter1d((~np.isnan(cycle)).astype(float), _RAMP * rate)
+    homes, share = heading.restore(placed)[:, ankles], smooth_step(walks)
+    steps = positions[:, ankles]
+    near = np.zeros(len(time))
+    for gap in runs(gone, max(round(_LEAST * rate), 1)):
+        start = steps[gap.start - 1] if gap.start else homes[0]
+        steps[gap] = _stepping(time[gap], homes[gap], start, cycle[gap], speed[gap])
+        ends = (time[gap.start - 1 : gap.start], time[gap.stop : gap.stop + 1])
+        away = [np.abs(time[gap] - end[0]) for end in ends if len(end)]
+        near[gap] = np.min(away, axis=0)
+    share *= smooth_step(near / _FADES)
+    some, found = share > 0.0, positions.copy()
+    frames = heading.at(some)
+    filled, stepping = frames.remove(positions[some]), frames.remove(steps[some])
+    way = share[some, None, None] * (stepping - filled[:, ankles])
+    put_feet(filled, filled[:, ankles] + way, body)
+    found[some] = frames.restore(filled)
+    return found
+
+
+def _stepping(
+    time: Array, homes: Array, start: Array, cycle: Array, speed: Array
+) -> Array:
+    """Return ankles [m] (T, 2, 3) that step to where the posture has them (homes)."""
     goals = motion_at(time, homes, time + _AHEAD)
-    steps = Steps(homes[0])
-    elapsed = np.diff(time, prepend=time[0])
+    steps, elapsed = Steps(start), np.diff(time, prepend=time[0])
     frames = zip(elapsed.tolist(), goals, cycle.tolist(), strict=True)
     shares = np.array([steps.step(*frame)[1] for frame in frames])
     ankles = np.stack([_standing(homes[:, k], shares[:, k]) for k in range(2)], axis=1)
     ankles[..., 1] = homes[..., 1] + lifts(shares, speed)
-    put_feet(placed, heading.remove(ankles), body)
+    return ankles
 
 
 def _standing(home: Array, share: Array) -> Array:
