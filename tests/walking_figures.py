@@ -4,14 +4,15 @@
 middle 55 % of recordings, and legs below a raised edge of the view, which has an ankle
 below it in 40 % of the frames. It compares the hidden joints with those of the
 recording cleaned with nothing hidden, relative to the hips or, if these are hidden, in
-the room [cm], in the mean over people: held as they were last seen, without networks,
-in clips, and live.
+the room [cm], in the mean over people: held as they were last seen, interpolated,
+without networks, in clips, and live.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -67,30 +68,35 @@ def from_hips(motion: Array, skeleton: Skeleton) -> Array:
     return motion - motion[:, skeleton.hips].mean(axis=1, keepdims=True)
 
 
-def held(motion: Array, gone: Flags, skeleton: Skeleton) -> Array:
-    """Return a motion whose hidden joints keep their places in the heading frame.
+def simple(motion: Array, gone: Flags, skeleton: Skeleton) -> Iterator[Array]:
+    """Yield a motion whose hidden joints are held, and interpolated.
 
-    With a hidden root, they keep those in the room.
+    That is in the heading frame or, with a hidden root, in the room.
     """
     moves = float(not gone[:, skeleton.root].any())
     roots = moves * motion[:, skeleton.root]
     heading = HeadingFrame(roots, moves * find_yaw(motion, skeleton))
-    found = heading.remove(motion)
-    for j in range(len(skeleton)):
-        seen = np.where(gone[:, j], 0, np.arange(len(gone)))
-        found[:, j] = found[np.maximum.accumulate(seen), j]
-    return heading.restore(found)
+    placed, frames = heading.remove(motion), np.arange(len(gone))
+    for hold in (True, False):
+        found = placed.copy()
+        for j in np.flatnonzero(gone.any(axis=0)):
+            seen = np.flatnonzero(~gone[:, j])
+            at = np.searchsorted(seen, frames, "right") - 1 if hold else frames
+            times = np.arange(len(seen)) if hold else seen
+            for axis in range(3):
+                found[:, j, axis] = np.interp(at, times, placed[seen, j, axis])
+        yield heading.restore(found)
 
 
 def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
-    """Return the person; sums of the four errors [cm], and joints, for each way."""
+    """Return the person; sums of the five errors [cm], and joints, for each way."""
     take, skeleton = recording.take, recording.take.skeleton
     take = take.at(np.flatnonzero(distinct_stamps(take.time))[:_FRAMES])
     plain, trained = (
         with_prior(Cleaner(_CONFIG), _CONFIG, each) for each in (MotionPrior({}), prior)
     )
     clip, live = trained.clean(take).clip.positions, followed(trained, take, take)
-    sums = np.zeros((len(_WAYS), 5))
+    sums = np.zeros((len(_WAYS), 6))
     parts = ("Elbow", "Wrist", "Hip", "Knee", "Ankle")
     scored = [j.startswith(parts) for j in skeleton.joints]
     for row, way in zip(sums, _WAYS, strict=True):
@@ -101,7 +107,7 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
         there = ~flags[:, list(skeleton.hips)].any(axis=1)
         counted = flags & scored & (there | (way in _IN_ROOM))[:, None]
         pairs = (
-            (held(clip, flags, skeleton), clip),
+            *((motion, clip) for motion in simple(clip, flags, skeleton)),
             (plain.clean(blind).clip.positions, clip),
             (trained.clean(blind).clip.positions, clip),
             (followed(trained, blind, blind), live),
@@ -111,7 +117,7 @@ def errors(recording: NamedTake, prior: MotionPrior) -> tuple[str, Array]:
             if way not in _IN_ROOM:
                 one, other = (from_hips(motion, skeleton) for motion in motions)
             row[k] = 100.0 * np.linalg.norm(one - other, axis=2)[counted].sum()
-        row[4] = counted.sum()
+        row[-1] = counted.sum()
     return recording.name.partition("_")[0], sums
 
 
@@ -129,9 +135,10 @@ def main() -> None:
             people[person].append(sums)
     totals = np.array([np.sum(each, axis=0) for each in people.values()])
     with np.errstate(invalid="ignore"):
-        means = np.nanmean(totals[..., :4] / totals[..., 4:], axis=0)
+        means = np.nanmean(totals[..., :-1] / totals[..., -1:], axis=0)
     for way, row in zip(_WAYS, means, strict=True):
-        out.print(f"{way}: held, without networks, clips, live, cm:", row.round(1))
+        columns = "held, interpolated, without networks, clips, live, cm:"
+        out.print(f"{way}: {columns}", row.round(1), soft_wrap=True)
 
 
 if __name__ == "__main__":
