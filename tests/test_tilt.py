@@ -32,7 +32,9 @@ def walking(tilt: float, noise: float) -> tuple[Array, Array]:
     return act.time[:120], leveled(there, -np.radians(tilt))
 
 
-def tilt_of(*people: Array, confidence: float = 1.0, by_kinect: bool = True) -> float:
+def tilt_of(
+    *people: Array, confidence: float | Array = 1.0, by_kinect: bool = True
+) -> float:
     """Return the tilt [degrees] that people show in frames of 1/30 s."""
     found = []
     for positions in people:
@@ -50,6 +52,13 @@ def test_the_tilt_is_found_under_someone_who_walks(
 ) -> None:
     _, positions = walking(tilt, 0.01)
     assert tilt_of(positions, by_kinect=by_kinect) == pytest.approx(tilt, abs=1.0)
+
+
+def test_a_foot_that_may_be_in_the_air_shows_no_tilt() -> None:
+    known = np.where(
+        np.arange(len(KINECT_V1)) == KINECT_V1.index("AnkleLeft"), 0.0, 1.0
+    )
+    assert tilt_of(walking(-8.0, 0.01)[1], confidence=known) == 0.0
 
 
 @pytest.mark.parametrize("roll", [-6.0, 2.0])

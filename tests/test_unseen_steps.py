@@ -25,6 +25,7 @@ from kinefilter.pipeline.reconstruct.unseen_steps import (
 Array = NDArray[np.float64]
 BODY, RATE = standard_body(KINECT_V1), 30.0
 LEGS = [j for n in ("Knee", "Ankle", "Foot") for j in KINECT_V1.sides(n)]
+HIPS = [KINECT_V1.root, KINECT_V1.index("Spine"), *KINECT_V1.hips.tolist()]
 ANKLES, FLIP = KINECT_V1.sides("Ankle"), np.array([-1.0, 1.0, 1.0])
 
 
@@ -82,23 +83,33 @@ def test_feet_swing_as_the_cycle_says() -> None:
     assert moves.mean(axis=0).min() > 0.35
 
 
-def walk(hidden: slice = slice(None)) -> tuple[Take, Take]:
-    """Return a recorded walk, and the same without legs in some frames."""
+def walk(frames: slice, gone: list[int]) -> tuple[Take, Take]:
+    """Return a recorded walk, and the same without joints in some frames."""
     take = read_take(CMU / "08_01.bvh.gz").at(slice(0, None, 4))
-    gone = [take.skeleton.index(KINECT_V1.joints[j]) for j in LEGS]
+    assert take.skeleton == KINECT_V1
     positions, state = take.positions.copy(), take.state.copy()
-    positions[hidden, gone], state[hidden, gone] = np.nan, State.NOT_TRACKED
+    positions[frames, gone], state[frames, gone] = np.nan, State.NOT_TRACKED
     return take, replace(take, positions=positions, state=state)
 
 
 @captured
 @pytest.mark.parametrize(
-    ("hidden", "most", "more"), [(slice(None), 0.8, 0.3), (slice(15, -15), 0.9, 0.0)]
+    ("frames", "gone", "most", "more"),
+    [
+        (slice(None), LEGS, 0.8, 0.3),
+        (slice(None), LEGS + HIPS, 0.8, 0.3),
+        (slice(15, -15), LEGS, 0.9, 0.0),
+    ],
+    ids=["never seen", "nor hips", "for a while"],
 )
 def test_legs_of_walkers_step_as_they_do(
-    hidden: slice, most: float, more: float, monkeypatch: pytest.MonkeyPatch
+    frames: slice,
+    gone: list[int],
+    most: float,
+    more: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    take, blind = walk(hidden)
+    take, blind = walk(frames, gone)
     cleaner = Cleaner(CleanConfig(physics=False, tilt=0.0))
     truth, found = (cleaner.clean(one).clip for one in (take, blind))
     monkeypatch.setattr(hidden_limbs, "step_unseen", lambda *_: None)
@@ -118,7 +129,7 @@ def test_legs_of_walkers_step_as_they_do(
 
 @captured
 def test_live_feet_stand_while_walkers_go() -> None:
-    take, blind = walk()
+    take, blind = walk(slice(None), LEGS + HIPS)
     motion = followed(Cleaner(CleanConfig(physics=False, tilt=0.0)), blind, take)
     still = (speeds(motion[20:, ANKLES]) < 0.2).any(axis=1)
     assert still.mean() > 0.4

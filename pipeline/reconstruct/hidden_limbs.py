@@ -22,7 +22,7 @@ from kinefilter.retarget import HeadingFrame, find_yaw
 from .continuity import bridge, middle_joint, planted_height
 from .prior import MotionPrior, default_prior, standing_height
 from .recall import SHORTEST, learn
-from .unseen_root import interpolated_yaw
+from .unseen_root import interpolated_yaw, upright_places
 from .unseen_steps import both_legs, step_hidden, step_unseen
 from .windows import (
     BridgedMotion,
@@ -320,13 +320,16 @@ def _likely(
     skeleton, root = body.skeleton, positions[:, body.skeleton.root]
     heading = HeadingFrame(root, np.nan_to_num(find_yaw(positions, skeleton)))
     placed = heading.remove(positions)
+    hips = np.isin(np.arange(len(skeleton)), skeleton.hips) & unseen
+    placed[:, hips] = upright_places(body)[hips]
     bones = placed - placed[:, skeleton.parents]
     lower = root[:, 1] - standing_height(root[:, 1])
-    pointed = point_unseen(bones, unseen, lower, body, prior)
+    pointed = hips | point_unseen(bones, unseen, lower, body, prior)
     spread = _SMOOTHED / nominal_step(time)
-    smoothed = gaussian_filter1d(bones[:, pointed], spread, axis=0, mode="nearest")
-    bones[:, pointed] = body.lengths[pointed, None] * unit(smoothed)
+    limbs_of = pointed & ~hips
+    smoothed = gaussian_filter1d(bones[:, limbs_of], spread, axis=0, mode="nearest")
+    bones[:, limbs_of] = body.lengths[limbs_of, None] * unit(smoothed)
     for j in skeleton.order:
-        if pointed[j]:
+        if limbs_of[j]:
             placed[:, j] = placed[:, skeleton.parents[j]] + bones[:, j]
     return placed, heading, pointed

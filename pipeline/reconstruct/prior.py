@@ -4,9 +4,10 @@ Small networks predict how far a limb departs from continuing its motion, from w
 rest of the body does meanwhile and how the limb moved before (and after). They were
 trained on takes and mocap in which it was seen (``pipeline.lab.limb_lessons``). For
 limbs that were never seen, others predict it from the posture of the rest of the body
-alone, which also tells more and more of one that is hidden for long. Right limbs are
-treated as mirror images of left ones, and segments are identified by name, so the same
-networks serve all sensors.
+alone, which also tells more and more of one that is hidden for long. Networks of the
+gait, of a single layer, tell which foot of a walker swings (``unseen_steps``). Right
+limbs are treated as mirror images of left ones, and segments are identified by name, so
+the same networks serve all sensors.
 """
 
 from __future__ import annotations

@@ -152,6 +152,7 @@ class HiddenLimbTracker:
         filled = self._placed(placed, there, self._directions[k])
         if both_legs(pointed, skeleton):
             self._step_feet(filled, heading, k)
+            pointed[skeleton.hips] = True  # which the legs hang on
         else:
             self._steps = None
         self._positions[k] = self._join(filled, hidden, time - self._times[k - 1])

@@ -64,21 +64,20 @@ class TiltEvidence:
 
     def add(self, positions: Array, confidence: Array, elapsed: Array) -> None:
         """Add frames, each of which stands for a time [s], (T,); confidence (T, J)."""
-        seen = confidence[:, self._ankles] >= 0.5
+        # A foot that alone is seen may be in the air.
+        some = (confidence[:, self._ankles] >= 0.5).all(axis=1)
         feet = positions[:, self._ankles]
-        low = np.where(seen, feet[..., 1], np.inf)
-        some, lower = seen.any(axis=1), low.argmin(axis=1)
+        lower = feet[..., 1].argmin(axis=1)
         foot = feet[np.arange(len(feet)), lower]
         some &= positions[:, self._skeleton.root, 1] - foot[:, 1] > _LEGS
-        foot, both = foot[some], some & seen.all(axis=1)
+        foot, side = foot[some], 1.0 - 2.0 * lower[some]
         nothing, one = np.zeros(len(foot)), np.ones(len(foot))
-        side = 1.0 - 2.0 * lower[some]
         rows = [foot[:, 2], -foot[:, 0], *[nothing] * 4, one, side, foot[:, 1]]
         self._add(_HEIGHT, np.transpose(rows), elapsed[some])
-        self._add_leans(positions[both], elapsed[both])
+        self._add_leans(positions[some], elapsed[some])
 
     def _add_leans(self, positions: Array, elapsed: Array) -> None:
-        """Add what frames in which both ankles are seen say of who stands upright."""
+        """Add what frames say of who stands upright; both ankles are seen in them."""
         feet, skeleton = positions[:, self._ankles], self._skeleton
         bears = feet[..., 1] < feet[..., 1].min(axis=1, keepdims=True) + _RAISED
         below = np.mean(feet, axis=1, where=bears[..., None])
