@@ -67,6 +67,8 @@ def fill_hidden(
     if not hidden.any() or len(time) < 2:
         return positions, hidden
     visible = np.where(hidden[..., None], np.nan, positions)
+    if np.isnan(visible[:, skeleton.root]).all():  # nothing shows where the person is
+        return positions, np.zeros_like(hidden)
     seen = bridged_motion(time, visible, skeleton)
     # Where elbows are hidden and wrists are not, that shows the arm.
     shown = _place_elbows(seen, hidden)

@@ -233,7 +233,8 @@ def describe(hidden: Stretches) -> Descriptions:
     def pointing(which: Indices) -> Array:
         return _flat(seen.directions[which].take(limb.hidden, -2))
 
-    change, velocity, bones = visible_motion(hidden, limb.visible)
+    # Segments may hang, in a few frames, on a joint that was never placed.
+    change, velocity, bones = map(np.nan_to_num, visible_motion(hidden, limb.visible))
     unmoved = HeadingFrame(np.zeros(3), seen.heading.yaw[frames])
     root = unmoved.remove(hidden.root_change[..., None, :])[..., 0, :]
     per_second, end = seen.rate / SPEED_FRAMES, pointing(last)
@@ -266,6 +267,11 @@ def describe(hidden: Stretches) -> Descriptions:
         base = unit(still + kept[..., None, None] * (base - still))
     if limb.leg is not None:
         held = [_on_foot(hidden, limb.leg, d) for d in (base, still)]
+        # A leg whose hip was never seen is nowhere.
+        held = [
+            np.where(np.isnan(h), d, h)
+            for h, d in zip(held, (base, still), strict=True)
+        ]
         features.append(_flat(held[0] - base) / _HELD)
         base, still = held
     features += [elapsed[..., None] / _TIME for elapsed in hidden.time[: 1 + ahead]]
