@@ -17,10 +17,11 @@ import numpy as np
 from rich.table import Table
 
 from kinefilter import Cleaner, clean, read_take, write_clip
-from kinefilter.characters import Clip, InputError
+from kinefilter.characters import Clip, InputError, State
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.extras import require
 from kinefilter.pipeline.formats.files import atomic_path, make_folder
+from kinefilter.pipeline.formats.sheets import write_take_csv
 from kinefilter.pipeline.lab.hidden_limb_evaluation import join_cases, middle
 from kinefilter.pipeline.lab.limb_guesses import HIDDEN, hide, simple_guesses
 from kinefilter.pipeline.lab.limb_lessons import train_prior_on, with_prior
@@ -132,6 +133,8 @@ _MIMED: tuple[tuple[str, str, str, int, dict[str, float]], ...] = (
     ("dribbled_ball.gif", "basketball", "dribble", 5003, {"begin": 1.6, "end": 6.4}),
 )
 """Animations of things that are mimed: scene, motion, seed, and seconds of the clip."""
+_WALK, _WALK_LENGTH = 5020, 2.4  # seed, and s of the animation of unseen legs
+_UPPER = ("Head", "Shoulder", "Elbow", "Wrist", "Hand")  # joints that are seen there
 _SIZE, _RATE = "480x270", 10.0  # of animations: small enough to load quickly
 
 
@@ -232,6 +235,9 @@ def make_pictures(
             clip = clean(take, CleanConfig(scene=scene)).clip
             _animate(clip, path, progress, scene=scene, **part)
             yield f"wrote {path}"
+        path = folder / "unseen_legs.gif"
+        _hide_legs(path, progress)
+        yield f"wrote {path}"
         if data is not None:
             path = folder / "hidden_arm.gif"
             _hide_an_arm(path, data, progress)
@@ -249,6 +255,20 @@ def _animate(clip: Clip, path: Path, progress: Progress, **look: Any) -> None:
         write_clip(clip, file)
         look = {"size": _SIZE, "fps": _RATE, **look}
         render_clips([file], path, Look(**look), progress=progress)
+
+
+def _hide_legs(path: Path, progress: Progress) -> None:
+    """Write an animation of a walker of whom only head, shoulders and arms are seen."""
+    take = simulate("basic", "walk", seed=_WALK, stay_in_view=True).take
+    shown = np.array([joint.startswith(_UPPER) for joint in take.skeleton.joints])
+    positions = np.where(shown[:, None], take.positions, np.nan)
+    state = np.where(shown, take.state, State.NOT_TRACKED).astype(np.uint8)
+    blind = replace(take, positions=positions, state=state)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "take.csv"
+        write_take_csv(blind, file)
+        part = {"begin": 0.6, "end": 0.6 + _WALK_LENGTH}
+        _animate(clean(blind).clip, path, progress, compare=file, **part)
 
 
 def _hide_an_arm(path: Path, data: Path, progress: Progress) -> None:
