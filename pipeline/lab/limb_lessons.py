@@ -192,14 +192,12 @@ def _gait_rows(time: Array, seen: BridgedMotion) -> Iterator[Lessons]:
     spread = _GAIT_SMOOTHED * seen.rate
     apart = gaussian_filter1d(level[:, 0] - level[:, 1], spread, axis=0)
     faster = np.gradient(apart, time, axis=0) / PACE
-    shown = seen.known[new][:, ankles].all(axis=1) & np.isfinite(positions).all(
-        axis=(1, 2)
-    )
+    shown = seen.known[new][:, ankles].all(axis=1)
+    shown &= np.isfinite(positions).all(axis=(1, 2))
+    every = max(round(seen.rate / _GAIT_RATE), 1)
     for mode, around in GAIT_TIMES.items():
         inside = (time >= time[0] - around[0]) & (time <= time[-1] - around[-1])
-        frames = np.flatnonzero(inside & shown)[
-            :: max(round(seen.rate / _GAIT_RATE), 1)
-        ]
+        frames = np.flatnonzero(inside & shown)[::every]
         if not len(frames):
             continue
         motion = motion_at(time, positions, time[frames, None] + around)

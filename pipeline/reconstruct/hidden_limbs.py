@@ -315,9 +315,9 @@ def fill_walking(
 def _likely(
     time: Array, positions: Array, unseen: Flags, body: Body, prior: MotionPrior
 ) -> tuple[Array, HeadingFrame, Flags]:
-    """Return joints [m] in the heading frame, where unseen limbs likely are, and it.
+    """Return joints [m] where unseen limbs likely are, and flags of these joints, (J,).
 
-    The flags (J,) say which joints were placed.
+    The joints (T, J, 3) are in the heading frame, which is returned in between.
     """
     skeleton, root = body.skeleton, positions[:, body.skeleton.root]
     heading = HeadingFrame(root, np.nan_to_num(find_yaw(positions, skeleton)))
@@ -328,10 +328,10 @@ def _likely(
     lower = root[:, 1] - standing_height(root[:, 1])
     pointed = hips | point_unseen(bones, unseen, lower, body, prior)
     spread = _SMOOTHED / nominal_step(time)
-    limbs_of = pointed & ~hips
-    smoothed = gaussian_filter1d(bones[:, limbs_of], spread, axis=0, mode="nearest")
-    bones[:, limbs_of] = body.lengths[limbs_of, None] * unit(smoothed)
+    segments = pointed & ~hips
+    smoothed = gaussian_filter1d(bones[:, segments], spread, axis=0, mode="nearest")
+    bones[:, segments] = body.lengths[segments, None] * unit(smoothed)
     for j in skeleton.order:
-        if limbs_of[j]:
+        if segments[j]:
             placed[:, j] = placed[:, skeleton.parents[j]] + bones[:, j]
     return placed, heading, pointed
