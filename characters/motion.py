@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .anthropometry import Body, positions_from_rotations
 from .arrays import (
@@ -152,6 +152,22 @@ def nominal_step(time: Array) -> float:
     steps = np.diff(time)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else float("nan")
+
+
+def values_at(time: Array, values: Array, wanted: ArrayLike) -> Array:
+    """Return values (T, ...) interpolated at other times; outside, the ends are held.
+
+    Time stamps [s] (T,) increase. The result has the shape of ``wanted`` [s], followed
+    by that of a frame's values.
+    """
+    wanted = np.asarray(wanted)
+    if len(time) < 2:
+        return np.asarray(values[np.zeros(wanted.shape, dtype=np.intp)])
+    after = np.searchsorted(time, wanted).clip(1, len(time) - 1)
+    apart = np.maximum(time[after] - time[after - 1], 1e-9)
+    share = ((wanted - time[after - 1]) / apart).clip(0.0, 1.0)
+    share = share.reshape(*wanted.shape, *(1,) * (values.ndim - 1))
+    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
 
 
 def distinct_stamps(time: Array) -> Flags:

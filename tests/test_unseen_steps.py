@@ -11,6 +11,7 @@ from real_data import CMU, captured
 
 from kinefilter import CleanConfig, Cleaner, read_take
 from kinefilter.characters import KINECT_V1, Clip, State, Take, standard_body
+from kinefilter.characters.motion import values_at
 from kinefilter.characters.rotations import about_y, rotate
 from kinefilter.pipeline.lab.evaluate import followed
 from kinefilter.pipeline.reconstruct import MotionPrior, hidden_limbs, stage
@@ -19,7 +20,6 @@ from kinefilter.pipeline.reconstruct.prior import default_prior
 from kinefilter.pipeline.reconstruct.unseen_steps import (
     Steps,
     gait_inputs,
-    motion_at,
 )
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def test_steps_turn_with_the_person_and_mirror() -> None:
     places, turn = going(way), about_y(np.array(2.0))
     turned = unseen(rotate(turn, places))
     np.testing.assert_allclose(turned, rotate(turn, unseen(places)), atol=1e-9)
-    motion = motion_at(np.arange(90) / RATE, places, np.full((1, 17), 1.0))
+    motion = values_at(np.arange(90) / RATE, places, np.full((1, 17), 1.0))
     motion = motion + np.random.default_rng(0).normal(0.0, 0.03, motion.shape)
     inputs, ahead, way_there = gait_inputs(motion, KINECT_V1)
     other = gait_inputs((FLIP * motion)[:, :, KINECT_V1.mirror], KINECT_V1)

@@ -8,6 +8,7 @@ from scipy.special import ndtri
 
 from kinefilter.characters import Skeleton, standard_body
 from kinefilter.characters.arrays import Array, Flags, Indices, Singles
+from kinefilter.characters.motion import values_at
 from kinefilter.characters.skeleton import LIMB_PARTS
 
 _APART = 8.0 / 30.0  # s between a frame and those that describe its movement
@@ -195,17 +196,6 @@ def _frequencies(size: int, count: int, seed: int) -> Singles:
     frequencies: Singles = np.ascontiguousarray(rows.T, dtype=np.float32)
     frequencies.flags.writeable = False
     return frequencies
-
-
-def values_at(times: Array, values: Array, wanted: Array) -> Array:
-    """Interpolate values (N, ...) at other times; outside, the ends are held."""
-    if len(times) < 2:
-        return np.broadcast_to(values, (len(wanted), *values.shape[1:]))
-    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
-    apart = np.maximum(times[after] - times[after - 1], 1e-9)
-    share = np.clip((wanted - times[after - 1]) / apart, 0.0, 1.0)
-    share = share.reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
 
 
 def direction_to(sensor: Array | None, count: int) -> Array:

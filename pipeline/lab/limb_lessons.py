@@ -23,7 +23,7 @@ from sklearn.neural_network import MLPRegressor
 
 from kinefilter.characters import KINECT_V1, standard_body
 from kinefilter.characters.arrays import Array, Singles
-from kinefilter.characters.motion import distinct_stamps
+from kinefilter.characters.motion import distinct_stamps, values_at
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
@@ -51,7 +51,6 @@ from kinefilter.pipeline.reconstruct.unseen_steps import (
     PACE,
     WALKS,
     gait_inputs,
-    motion_at,
 )
 from kinefilter.pipeline.reconstruct.windows import (
     BridgedMotion,
@@ -200,7 +199,7 @@ def _gait_rows(time: Array, seen: BridgedMotion) -> Iterator[Lessons]:
         frames = np.flatnonzero(inside & shown)[::every]
         if not len(frames):
             continue
-        motion = motion_at(time, positions, time[frames, None] + around)
+        motion = values_at(time, positions, time[frames, None] + around)
         inputs, ahead, way = gait_inputs(motion, skeleton)
         legs = apart[frames], faster[frames]
         truth = np.stack([np.sum(part * ahead, axis=1) for part in legs], axis=1)

@@ -16,13 +16,13 @@ import numpy as np
 
 from kinefilter.characters import Take
 from kinefilter.characters.arrays import Array
-from kinefilter.characters.motion import distinct_stamps
+from kinefilter.characters.motion import distinct_stamps, values_at
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, Observation
 from kinefilter.pipeline.live.crowd import MEASURED_FOR
 from kinefilter.pipeline.target.smooth import smooth_by_speed
-from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother, places_at
+from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother
 
 from .evaluate import followed
 from .methods.filters import OneEuro
@@ -60,8 +60,7 @@ def fit(examples: Sequence[Example]) -> dict[str, list[float]]:
     sides = {name: np.zeros(count) for name in _STEADY}
     for take, joints, smooth, speed in examples:
         before = take.time[:, None] - STEP * np.arange(1, count + 1)
-        past = places_at(before.ravel(), take.time, joints)
-        past = past.reshape(*before.shape, *joints.shape[1:]) - joints[:, None]
+        past = values_at(take.time, joints, before) - joints[:, None]
         past, away = np.moveaxis(past, 1, -1), smooth - joints
         turns, leaps = np.diff(past, 3, axis=0), -np.diff(joints, 3, axis=0)
         for name, steady in _STEADY.items():

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinefilter.characters import Body, InputError, Skeleton, State, Take
 from kinefilter.characters.arrays import Array, Codes, Flags
-from kinefilter.characters.motion import distinct_stamps
+from kinefilter.characters.motion import distinct_stamps, values_at
 from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.draft import Draft
@@ -29,7 +29,6 @@ from .unseen_steps import (
     both_legs,
     gait,
     lifts,
-    motion_at,
     put_feet,
 )
 from .windows import BridgedMotion, Limb, Stretches, in_limbs, limb_of, limbs, with_tips
@@ -195,7 +194,7 @@ class HiddenLimbTracker:
         cycle, speed = gait(*shown, "before", self._prior, skeleton)
         if self._steps is None:
             self._steps = Steps(homes)
-        recent = motion_at(time[some], self._root[some], time[k] - _SPEED_TIME)
+        recent = values_at(time[some], self._root[some], time[k] - _SPEED_TIME)
         way = (self._root[k] - recent) * [1.0, 0.0, 1.0]
         goals = homes + _AHEAD / _SPEED_TIME * way
         elapsed = float(time[k] - time[k - 1]) if k else 0.0

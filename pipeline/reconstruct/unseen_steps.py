@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags, chunks, runs
-from kinefilter.characters.motion import nominal_step
+from kinefilter.characters.motion import nominal_step, values_at
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.limbs import smooth_step
 
@@ -79,16 +79,6 @@ def gait_inputs(motion: Array, skeleton: Skeleton) -> tuple[Array, Array, Array]
     return (signals - trend * slope).reshape(len(motion), -1), ahead, way
 
 
-def motion_at(time: Array, positions: Array, at: Array) -> Array:
-    """Return positions (T, ...) at other times [s], interpolated, held at the ends."""
-    if len(time) < 2:
-        return positions[np.zeros(np.shape(at), dtype=np.intp)]
-    k = np.searchsorted(time, at).clip(1, len(time) - 1)
-    share = ((at - time[k - 1]) / (time[k] - time[k - 1])).clip(0.0, 1.0)
-    share = share.reshape(np.shape(share) + (1,) * (positions.ndim - 1))
-    return np.asarray(positions[k - 1] + share * (positions[k] - positions[k - 1]))
-
-
 def gait(
     time: Array,
     positions: Array,
@@ -104,7 +94,7 @@ def gait(
     """
     around, parts = GAIT_TIMES[mode], []
     for some in chunks(len(at)):  # which bounds the memory
-        motion = motion_at(time, positions, at[some, None] + around)
+        motion = values_at(time, positions, at[some, None] + around)
         parts.append(gait_inputs(motion, skeleton)[::2])
     inputs, way = (np.concatenate(part) for part in zip(*parts, strict=True))
     speed = way / (around[-1] - around[0])
@@ -231,7 +221,7 @@ def _stepping(
     time: Array, homes: Array, start: Array, cycle: Array, speed: Array
 ) -> Array:
     """Return ankles [m] (T, 2, 3) that step to where the posture has them (homes)."""
-    goals = motion_at(time, homes, time + _AHEAD)
+    goals = values_at(time, homes, time + _AHEAD)
     steps, elapsed = Steps(start), np.diff(time, prepend=time[0])
     frames = zip(elapsed.tolist(), goals, cycle.tolist(), strict=True)
     shares = np.array([steps.step(*frame)[1] for frame in frames])

@@ -19,11 +19,11 @@ import numpy as np
 
 from kinefilter.characters import Body, Skeleton
 from kinefilter.characters.arrays import Array, Flags, Singles, chunks
+from kinefilter.characters.motion import values_at
 from kinefilter.characters.rotations import unit
 from kinefilter.pipeline.correct.posture_features import (
     RandomFeatures,
     similarity_to,
-    values_at,
 )
 from kinefilter.pipeline.formats.npz import read_arrays
 
@@ -104,8 +104,7 @@ def described(time: Array, legs: Array, now: Array) -> Singles:
 
     ``legs`` (T, 2, 10) are ``legs_of`` the frames with other time stamps, (T,).
     """
-    before = values_at(time, legs, (now[:, None] - _BEFORE).ravel())
-    rows = before.reshape(len(now), len(_BEFORE), *legs.shape[1:]).swapaxes(1, 2)
+    rows = values_at(time, legs, now[:, None] - _BEFORE).swapaxes(1, 2)
     return rows.reshape(len(now), 2, -1).astype(np.float32)
 
 

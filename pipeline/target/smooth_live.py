@@ -3,6 +3,7 @@
 import numpy as np
 
 from kinefilter.characters.arrays import Array
+from kinefilter.characters.motion import values_at
 
 STEP = 1.0 / 30.0  # s between the places that count
 AT_REST = np.array([0.2760, 0.2462, 0.1716, 0.0958, 0.0344, 0.0064, -0.0039])
@@ -53,19 +54,11 @@ class LiveSmoother:
         kept = max(int(np.searchsorted(self._times, before[-1], "right")) - 1, 0)
         self._times = np.append(self._times[kept:], time)
         self._places = np.concatenate([self._places[kept:], positions[None]])
-        past = places_at(before, self._times, self._places)
+        past = values_at(self._times, self._places, before)
         weights = _weights(self._velocity, self._velocity[self._root])
         change = np.einsum("kjc,jk->jc", past - positions, weights)
         self._last = np.asarray(positions + change)
         return self._last
-
-
-def places_at(when: Array, times: Array, places: Array) -> Array:
-    """Return places (T, ...) interpolated at times [s] (K,), the first before them."""
-    after = np.searchsorted(times, when).clip(1, len(times) - 1)
-    share = (when - times[after - 1]) / (times[after] - times[after - 1])
-    shares = share.clip(0.0, 1.0).reshape(-1, *[1] * (places.ndim - 1))
-    return np.asarray(places[after - 1] + shares * (places[after] - places[after - 1]))
 
 
 def _weights(velocity: Array, walk: Array) -> Array:
