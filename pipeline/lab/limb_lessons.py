@@ -356,7 +356,7 @@ def with_prior(cleaner: Cleaner, config: CleanConfig, prior: MotionPrior) -> Cle
 
 
 def relative_errors(prior: MotionPrior, lessons: Lessons) -> dict[str, float]:
-    """Return each network's error of directions, in percent of that without it."""
+    """Return each network's error, of directions or the gait, in percent without it."""
     percent = {}
     for name, rows in lessons.items():
         change = prior.change(name, rows.inputs.astype(float)).reshape(rows.base.shape)

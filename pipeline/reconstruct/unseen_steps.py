@@ -24,7 +24,7 @@ and without."""
 PACE = 6.0
 """Rate [rad/s] by which the speed of legs is divided: about that of a walk."""
 # The following were chosen on CMU's 02, 05, 07, 16, 29 and 32, on p00 to p08 of
-# two-kinects, on three gestures, and on fights of three sequences.
+# two-kinects, on a gesture, and on a quarter of PRECOG 2016's fights.
 WALKS = 0.4  # m/s: people who move forward faster than that walk, in training
 _WALKS = 0.3  # the same where the gait is predicted
 _SWINGS = {"between": 0.08, "before": 0.25}  # m: least predicted amplitude of a walk
@@ -37,15 +37,15 @@ _STEP, _QUICKEST = 0.4, 0.2  # s of a step while nobody walks, and of the fastes
 # s: least duration of a gap whose legs step; of the return to filled legs at its ends;
 # and over which a walk begins and ends there.
 _LEAST, _FADES, _RAMP = 0.5, 1.0, 0.3
-_PER_SPEED, _LIFTS = 0.16, (0.04, 0.2)  # s: the highest lift by speed, and its range
+_PER_SPEED, _LIFTS = 0.16, (0.04, 0.2)  # highest lift: m per m/s, and its range [m]
 
 
 def gait_inputs(motion: Array, skeleton: Skeleton) -> tuple[Array, Array, Array]:
-    """Return what shows the gait, (N, 6 L), and where people go.
+    """Return what shows the gait, (N, 6 L), and how people go.
 
-    The motion are joint positions [m] at GAIT_TIMES, shape (N, L, J, 3). People go in a
-    direction (x and z, a unit vector, (N, 2)), at a speed [m/s] times the duration of
-    the frames, (N,). Mirrored motion has inputs of the opposite sign.
+    The motion is joint positions [m] at GAIT_TIMES, shape (N, L, J, 3). People face a
+    direction (x and z, a unit vector, (N, 2)) and go some distance [m] that way, (N,).
+    Mirrored motion has inputs of the opposite sign.
     """
     level = motion[..., [0, 2]]
     shoulders, elbows, wrists = (
