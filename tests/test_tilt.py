@@ -22,6 +22,7 @@ from kinefilter.scenes.library import perform
 Array = NDArray[np.float64]
 BODY = standard_body(KINECT_V1)
 EMPTY = np.zeros(len(KINECT_V1))
+RIGHT_LEG = np.array([joint != "AnkleLeft" for joint in KINECT_V1.joints], dtype=float)
 
 
 def walking(tilt: float, noise: float) -> tuple[Array, Array]:
@@ -54,11 +55,22 @@ def test_the_tilt_is_found_under_someone_who_walks(
     assert tilt_of(positions, by_kinect=by_kinect) == pytest.approx(tilt, abs=1.0)
 
 
-def test_a_foot_that_may_be_in_the_air_shows_no_tilt() -> None:
-    known = np.where(
-        np.arange(len(KINECT_V1)) == KINECT_V1.index("AnkleLeft"), 0.0, 1.0
-    )
-    assert tilt_of(walking(-8.0, 0.01)[1], confidence=known) == 0.0
+def test_one_foot_shows_the_tilt_where_it_bears() -> None:
+    _, positions = walking(-8.0, 0.01)
+    assert tilt_of(positions, confidence=RIGHT_LEG) == pytest.approx(-8.0, abs=1.5)
+
+
+def test_a_foot_that_kicks_shows_no_tilt() -> None:
+    kicks = standing()
+    leg = [KINECT_V1.index(f"{part}Right") for part in ("Hip", "Knee", "Ankle")]
+    swing = 0.5 * np.pi * np.sin(np.linspace(0.0, 6.0 * np.pi, len(kicks))) ** 2
+    forward = np.stack([np.zeros_like(swing), -np.cos(swing), -np.sin(swing)], axis=1)
+    hip = kicks[:, leg[0]].copy()
+    for j in leg[1:]:
+        length = np.linalg.norm(kicks[:, j] - hip, axis=1)
+        kicks[:, j] = hip + length[:, None] * forward
+    assert np.ptp(kicks[:, leg[2], 1]) > 0.5
+    assert abs(tilt_of(kicks, confidence=RIGHT_LEG)) < 0.5
 
 
 @pytest.mark.parametrize("roll", [-6.0, 2.0])

@@ -41,7 +41,7 @@ _BETWEEN = np.array([1.0, 0.5])  # s between two independent samples
 _ROUNDS = 3  # in which the noise is found
 _RAISED = 0.1  # m above the other ankle: that foot does not bear the person
 _APART = 0.3  # m between two feet that bear, with which leans count half
-_LEGS = 0.5  # m by which the hips are above a foot that bears
+_UPRIGHT = 0.85  # share of a leg's length by which the hip is above a foot that bears
 _MOST_LEAN = np.radians(25.0)  # who leans farther does not stand
 _MOST_TILT = np.radians(15.0)  # what is more is found by ``upright``
 
@@ -59,25 +59,29 @@ class TiltEvidence:
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton, (self._ankles, _) = skeleton, ankles_and_toes(skeleton)
+        legs = [skeleton.sides(part) for part in ("Hip", "Knee", "Ankle")]
+        self._legs = np.array(legs)
         size = _SHARED + _OWN + 1
         self.products, self.seconds = np.zeros((2, size, size)), np.zeros(2)
 
     def add(self, positions: Array, confidence: Array, elapsed: Array) -> None:
         """Add frames, each of which stands for a time [s], (T,); confidence (T, J)."""
-        # A foot that alone is seen may be in the air.
-        some = (confidence[:, self._ankles] >= 0.5).all(axis=1)
-        feet = positions[:, self._ankles]
-        lower = feet[..., 1].argmin(axis=1)
-        foot = feet[np.arange(len(feet)), lower]
-        some &= positions[:, self._skeleton.root, 1] - foot[:, 1] > _LEGS
-        foot, side = foot[some], 1.0 - 2.0 * lower[some]
+        seen, leg = confidence[:, self._ankles] >= 0.5, positions[:, self._legs]
+        low = np.where(seen, leg[:, -1, :, 1], np.inf)
+        some, lower = seen.any(axis=1), low.argmin(axis=1)
+        leg = leg[np.arange(len(leg)), :, lower]
+        # A foot that alone is seen may be in the air, but not below a straight leg.
+        length = np.linalg.norm(np.diff(leg, axis=1), axis=2).sum(axis=1)
+        some &= leg[:, 0, 1] - leg[:, -1, 1] > _UPRIGHT * length
+        foot, both = leg[some, -1], some & seen.all(axis=1)
         nothing, one = np.zeros(len(foot)), np.ones(len(foot))
+        side = 1.0 - 2.0 * lower[some]
         rows = [foot[:, 2], -foot[:, 0], *[nothing] * 4, one, side, foot[:, 1]]
         self._add(_HEIGHT, np.transpose(rows), elapsed[some])
-        self._add_leans(positions[some], elapsed[some])
+        self._add_leans(positions[both], elapsed[both])
 
     def _add_leans(self, positions: Array, elapsed: Array) -> None:
-        """Add what frames say of who stands upright; both ankles are seen in them."""
+        """Add what frames in which both ankles are seen say of who stands upright."""
         feet, skeleton = positions[:, self._ankles], self._skeleton
         bears = feet[..., 1] < feet[..., 1].min(axis=1, keepdims=True) + _RAISED
         below = np.mean(feet, axis=1, where=bears[..., None])
