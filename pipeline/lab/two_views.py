@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 
 from kinefilter.characters import Skeleton
@@ -175,9 +176,11 @@ def _areas(joints: Sequence[tuple[Any, Any, Any]]) -> dict[str, float | None]:
 
 def as_table(figures: Figures) -> Table:
     """Return the figures as a table for the terminal."""
-    headings = (*LIMBS, "trunk, degrees")
-    columns = (Column(name, justify="right", no_wrap=True) for name in headings)
-    table = Table("session, side sensor", *columns, title="between the two sensors, cm")
+    headings = (*LIMBS, "trunk,\ndegrees")
+    columns = [Column("session,\nside sensor", no_wrap=True)]
+    columns += [Column(name, justify="right", no_wrap=True) for name in headings]
+    table = Table(*columns, title="between the two sensors, cm", box=SIMPLE_HEAD)
+    table.padding, table.pad_edge = 0, False  # 80 columns are enough then
     means = [
         {**mean, "session": f"mean of {mean['sessions']} {angle}", "side": ""}
         for angle, mean in figures["angles"].items()
@@ -187,7 +190,7 @@ def as_table(figures: Figures) -> Table:
         table.add_row(f"{session['session']} {session['side']}")
         for row, limbs in session["rows"].items():
             table.add_row(f"  {row}", *(_shown(limb, 1) for limb in limbs.values()))
-        for measure, label in (("", "1 - reliability"), ("misplaced_", "misplaced")):
+        for measure, label in (("", "reliability"), ("misplaced_", "misplaced")):
             areas = {name: session["auc"][measure + name] for name in ("all", "sure")}
             table.add_row(f"  ROC, {label}", _shown(areas, 2))
     table.caption = (
