@@ -27,7 +27,7 @@ _SIZE_FACTOR = 1.6
 # A Kinect keeps a body for about 0.3 s after it lost the person. Chosen on p20 and p22.
 _LOST = 0.3  # s without a body
 _FALLEN_APART = 0.08  # median deviation of the logarithms of lengths; usually 0.01
-_AFTER_LOSS = 1.0  # s that such a body may be kept
+_AFTER_LOSS = 0.6  # s that such a body may be kept; in pairs it is 0.5 at most
 _AT_END = 6  # frames, of which the first three may be wrong
 # m/s by which no joint changes its speed between frames and then keeps it. Chosen, from
 # 7 and 8, on s07 and s08, of whose feet 7 takes some that mocap agrees with.
