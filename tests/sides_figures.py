@@ -25,9 +25,9 @@ from kinefilter.pipeline.failures.sides import LiveSides, root_velocity, swapped
 from kinefilter.pipeline.formats import read_recording
 from kinefilter.pipeline.lab.view_sessions import (
     Session,
-    Views,
     find_sessions,
     read_views,
+    toward,
     view_pairs,
 )
 from kinefilter.pipeline.pairs import read_pairs
@@ -35,7 +35,6 @@ from kinefilter.retarget import find_yaw
 
 _WALKING = 0.3  # m/s
 _BACKWARD = np.radians(120.0)  # between course and heading
-_STRAIGHT = 0.5  # cosine between the course and the way to the front sensor
 _CLEARLY = 3.0  # cm by which limbs of the wrong side are farther away
 
 
@@ -58,18 +57,6 @@ def backward(*takes: Take) -> list[float]:
         off = np.abs(np.angle(np.exp(1j * (course - yaw))))
         shares.append(float((off[walks] > _BACKWARD).mean() * 100.0))
     return shares
-
-
-def toward(views: Views) -> Flags:
-    """Return the frames (T,) in which the person stands, or walks to the front sensor.
-
-    Of people who pass it from the side, that sensor cannot tell left from right either.
-    """
-    root = views.truth[:, views.side.skeleton.root, [0, 2]]
-    velocity = root_velocity(views.side.time[views.frames], root)
-    speed = np.linalg.norm(velocity, axis=1)
-    along = np.vecdot(velocity, -root) / np.linalg.norm(root, axis=1)
-    return np.asarray((speed < _WALKING) | (along > _STRAIGHT * speed))
 
 
 def figures_of(session: Session) -> list[float]:

@@ -52,6 +52,20 @@ def test_legs_change_sides_before_or_after_the_arms(
     np.testing.assert_allclose(mended[:, others], take.positions[:, others], atol=1e-9)
 
 
+@every_skeleton
+@pytest.mark.parametrize("motion", ["wave", "punch", "stand_idle"])
+def test_who_is_seen_from_the_chest_up_keeps_the_sides(
+    skeleton: Skeleton, motion: str
+) -> None:
+    take = performed(motion, skeleton)
+    positions = take.positions.copy()
+    below = [j for hip in skeleton.hips for j in (hip, *skeleton.descendants(hip))]
+    positions[:, [skeleton.root, *below]] = np.nan
+    seated = replace(take, positions=positions)
+    assert not swapped_frames(seated).any()
+    assert not swapped_live(seated).any()
+
+
 def test_knees_that_the_sensor_guesses_do_not_tell_the_sides() -> None:
     take = performed("stand_idle")
     knees = take.skeleton.sides("Knee")

@@ -12,9 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import InputError, Skeleton, Take
-from kinefilter.characters.arrays import Array
+from kinefilter.characters.arrays import Array, Flags
 from kinefilter.characters.rotations import wrapped
-from kinefilter.pipeline.failures.sides import swapped_back, swapped_frames
+from kinefilter.pipeline.failures.sides import (
+    root_velocity,
+    swapped_back,
+    swapped_frames,
+)
 from kinefilter.pipeline.formats.takes import read_take
 from kinefilter.pipeline.merge.rigid import placement
 from kinefilter.pipeline.pairs import PairedTake, check_same_skeleton
@@ -36,6 +40,8 @@ _SPEED = 6.0  # m/s beyond which the front is in doubt
 _FACING = 45.0  # degrees away from a sensor beyond which it loses limbs
 _BESIDE = 10.0  # degrees that people turn away from B more than from A if B is beside
 _LEAST = 30  # ticks at which both sensors have a frame
+_WALKING = 0.3  # m/s
+_STRAIGHT = 0.5  # cosine between the course and the way to the front sensor
 
 
 class Session(NamedTuple):
@@ -165,6 +171,18 @@ def _seen_in_front(take: Take) -> tuple[Array, NDArray[np.bool_]]:
     joints = [[skeleton.index(joint) for joint in limb] for limb in LIMBS.values()]
     sure = ~np.asarray(odd[:, joints].any(axis=2))
     return np.where(missing, np.nan, path)[frames], sure[frames]
+
+
+def toward(views: Views) -> Flags:
+    """Return the frames in which people stand, or walk to the front sensor, (T,).
+
+    Of people who pass it from the side, that sensor cannot tell left from right either.
+    """
+    root = views.truth[:, views.side.skeleton.root, [0, 2]]
+    velocity = root_velocity(views.side.time[views.frames], root)
+    speed = np.linalg.norm(velocity, axis=1)
+    along = np.vecdot(velocity, -root) / np.linalg.norm(root, axis=1)
+    return np.asarray((speed < _WALKING) | (along > _STRAIGHT * speed))
 
 
 def view_pairs(
