@@ -9,7 +9,7 @@ from real_data import CMU, PAIRS, captured, paired
 from skeletons import every_skeleton
 
 from kinefilter.characters import Skeleton
-from kinefilter.pipeline.failures.sides import FACING, facing_inputs
+from kinefilter.pipeline.failures.sides import FACING_WEIGHTS, facing_inputs
 from kinefilter.pipeline.lab.facing_lessons import Lesson, learn, lessons_in
 
 
@@ -20,7 +20,7 @@ def test_swapped_sides_change_the_sign_of_all_inputs(skeleton: Skeleton) -> None
     backward, swapped = facing_inputs(take.swapped().positions, skeleton)
     np.testing.assert_allclose(backward, -forward, atol=1e-12)
     np.testing.assert_allclose(swapped, -inputs, atol=1e-12)
-    assert np.mean(inputs @ FACING > 0.0) > 0.95
+    assert np.mean(inputs @ FACING_WEIGHTS > 0.0) > 0.95
 
 
 @every_skeleton
@@ -55,13 +55,13 @@ def test_people_count_alike_however_many_frames_they_have() -> None:
 @pytest.mark.parametrize("name", ["08_01", "12_02", "35_01", "49_10"])
 def test_people_before_a_virtual_kinect_face_the_way_they_do(name: str) -> None:
     (lesson,) = lessons_in(CMU / f"{name}.bvh.gz")
-    assert np.mean(np.sign(lesson.inputs @ FACING) == lesson.right) > 0.88
+    assert np.mean(np.sign(lesson.inputs @ FACING_WEIGHTS) == lesson.right) > 0.88
 
 
 @paired
 def test_recorded_people_face_the_way_they_do() -> None:
     told = [
-        np.sign(lesson.inputs @ FACING) == lesson.right
+        np.sign(lesson.inputs @ FACING_WEIGHTS) == lesson.right
         for lesson in lessons_in(PAIRS / "s08.npz")
     ]
     assert np.concatenate(told).mean() > 0.97

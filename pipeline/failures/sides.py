@@ -1,12 +1,11 @@
 """Finds frames in which a sensor has left and right swapped, and swaps them back.
 
 A sensor takes people whom it sees from behind for people who face it. It still sees
-where the limbs are, and they show which way a body faces: knees bend forward, elbows
-backward, hands and head are in front, and people mostly walk forward. So the sides are
-chosen that agree best with that, and with those of other sensors, without joints that
-leap from one side to the other: the cheapest path over all frames (Viterbi 1967), or,
-live, the cheapest path so far. A single sensor may have arms and legs change sides at
-different times.
+where the limbs are, and how these bend shows which way a body faces; people also mostly
+walk forward. So the sides are chosen that agree best with that, and with those of other
+sensors, without joints that leap from one side to the other: the cheapest path over all
+frames (Viterbi 1967), or, live, the cheapest path so far. A single sensor may have arms
+and legs change sides at different times.
 """
 
 from collections import deque
@@ -36,10 +35,10 @@ _SEGMENTS = (
     ("Hip", "Knee"),
     ("Knee", "Ankle"),
 )
-# Learned from the same people, s02 to s04 and CMU's 02 to 32 (``lab.facing_lessons``):
-# the log odds that bodies face the way that their sides say, for each of the inputs.
-FACING = np.array([-10.3, 42.1, 13.1, -30.7, 17.1, 30.2, -9.5, 18.8])
-_DOUBT = 3.0  # log odds of somebody who quite surely faces that way
+# Log odds, for each of ``facing_inputs``, that bodies face the way their sides say,
+# learned by ``lab.facing_lessons`` from p00 to p08, s02 to s04 and CMU's 02 to 32.
+FACING_WEIGHTS = np.array([-10.3, 42.1, 13.1, -30.7, 17.1, 30.2, -9.5, 18.8])
+_DOUBT = 3.0  # log odds of a body that quite surely faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
 _WALK = 0.85  # cost of walking backward, relative to that
 _WALKING = 0.4  # m/s of somebody who certainly walks
@@ -223,7 +222,7 @@ def _facing(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     forward, inputs = facing_inputs(seen, skeleton)
     trunk = seen[:, skeleton.girdle] - seen[:, skeleton.root]
     upright = trunk[:, 1] / (np.linalg.norm(trunk, axis=1) + 1e-9)
-    sure = np.tanh(inputs @ FACING / _DOUBT)
+    sure = np.tanh(inputs @ FACING_WEIGHTS / _DOUBT)
     return forward, np.asarray(sure * np.clip(np.nan_to_num(upright), 0.0, 1.0))
 
 

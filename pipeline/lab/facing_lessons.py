@@ -1,11 +1,11 @@
 """Learns which way people face from how they bend, for ``failures.sides``.
 
 ``python -m kinefilter.pipeline.lab.facing_lessons RECORDINGS... --views SESSIONS...
---walking TAKES... [--test RECORDINGS...]`` prints the weights ``FACING``. Left and
-right are compared with mocap (pairs files, and BVH, which a virtual Kinect sees), or
-with a sensor that people face (sessions of two). In the takes people mostly walk
-forward, which tells where the sensor swapped them. Then it prints for each person of
-``--test``, who must have no part in that, the share of frames [%] told right.
+--walking TAKES... [--test RECORDINGS...]`` prints ``FACING_WEIGHTS``. Left and right
+are compared with mocap (pairs files, and BVH, which a virtual Kinect sees), or with a
+sensor that people face (sessions of two). In the takes people mostly walk forward,
+which tells where the sensor swapped them. Then it prints for each person of ``--test``,
+who must have no part in that, the share of frames [%] told right.
 """
 
 import argparse
@@ -21,7 +21,11 @@ from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import distinct_stamps
 from kinefilter.pipeline.commands.terminal import out
-from kinefilter.pipeline.failures.sides import FACING, facing_inputs, root_velocity
+from kinefilter.pipeline.failures.sides import (
+    FACING_WEIGHTS,
+    facing_inputs,
+    root_velocity,
+)
 from kinefilter.pipeline.formats import read_take
 from kinefilter.pipeline.workers import workers
 
@@ -124,7 +128,11 @@ def main() -> None:
     learned += [_before_another(one) for one in find_sessions(given.views, None)]
     learned += [_walk(file) for file in sorted(given.walking)]
     weights = learn(learned).round(1)
-    out.print("FACING:", *weights, "" if (weights == FACING).all() else "(new)")
+    out.print(
+        "FACING_WEIGHTS:",
+        *weights,
+        "" if (weights == FACING_WEIGHTS).all() else "(new)",
+    )
     for person in sorted({lesson.person for lesson in tests}):
         told = [
             np.sign(one.inputs @ weights) == one.right
