@@ -29,15 +29,10 @@ from .trunk import steadied
 # who turn on the spot (seeds 90000 to 90020).
 _CHUNK = 256  # frames at a time, to bound the memory
 _FAR = 0.5  # m; joints farther apart cost no more
-_SEGMENTS = (
-    ("Shoulder", "Elbow"),
-    ("Elbow", "Wrist"),
-    ("Hip", "Knee"),
-    ("Knee", "Ankle"),
-)
+_LIMBS = ("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle")
 # Log odds, for each of ``facing_inputs``, that bodies face the way their sides say,
 # learned by ``lab.facing_lessons`` from p00 to p08, s02 to s04 and CMU's 02 to 32.
-FACING_WEIGHTS = np.array([-10.3, 42.1, 13.1, -30.7, 17.1, 30.2, -9.5, 18.8])
+FACING_WEIGHTS = np.array([-10.7, 44.2, 13.5, -32.1, 14.8, 29.6, -7.5, 22.6])
 _DOUBT = 3.0  # log odds of a body that quite surely faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
 _WALK = 0.85  # cost of walking backward, relative to that
@@ -197,19 +192,23 @@ def facing_inputs(seen: Array, skeleton: Skeleton) -> tuple[Array, Array]:
     Horizontal unit vectors (N, 3), and numbers that change their sign with the sides,
     (N, 8): for each kind of limb segment, of left and right together, how far its end
     is in front of the hips (if missing, of the shoulders) [m], and how far in front of
-    its start times how far above it [m²]. They are 0 where unknown.
+    its start times how far above it [m²]. Limbs of which a joint is missing do not
+    count.
     """
     forward, inputs = _direction(find_yaw(seen, skeleton)), []
-    hips, shoulders = (
-        seen[:, joints].mean(axis=1, keepdims=True)
-        for joints in (skeleton.hips, skeleton.sides("Shoulder"))
-    )
-    hips = np.where(np.isnan(hips), shoulders, hips)
-    for start, end in _SEGMENTS:
-        ends = seen[:, skeleton.sides(end)]
-        along = ends - seen[:, skeleton.sides(start)]
-        for each in (ends - hips, along * along[..., [1]]):
-            inputs.append(np.vecdot(each.sum(axis=1), forward))
+    limbs = [
+        np.stack([seen[:, skeleton.sides(part)] for part in limb], axis=2)
+        for limb in _LIMBS  # (N, sides, joints, 3)
+    ]
+    shoulders, hips = (limb[:, :, 0].mean(axis=1) for limb in limbs)
+    middle = np.where(np.isnan(hips), shoulders, hips)[:, None]
+    for limb in limbs:
+        missing = np.asarray(np.isnan(limb).any(axis=(2, 3)))[..., None]
+        for start, end in ((0, 1), (1, 2)):
+            along = limb[:, :, end] - limb[:, :, start]
+            for each in (limb[:, :, end] - middle, along * along[..., [1]]):
+                total = np.where(missing, 0.0, each).sum(axis=1)
+                inputs.append(np.vecdot(total, forward))
     return forward, np.nan_to_num(np.stack(inputs, axis=1))
 
 
