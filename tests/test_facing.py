@@ -41,7 +41,7 @@ def test_limbs_with_a_missing_joint_do_not_count(skeleton: Skeleton) -> None:
     assert not inputs("WristLeft", "ElbowRight")[:, :4].any()
 
 
-def test_people_count_alike_however_many_frames_they_have() -> None:
+def test_people_count_as_the_square_roots_of_their_frames() -> None:
     rng, weights = np.random.default_rng(0), np.array([3.0, -1.0, 0.5])
     lessons = []
     for person, frames in (("a", 400), ("b", 4000)):
@@ -52,7 +52,7 @@ def test_people_count_alike_however_many_frames_they_have() -> None:
     assert found[0] / found[2] == pytest.approx(weights[0] / weights[2], rel=0.1)
     worse = lessons[1]._replace(right=-lessons[1].right)
     both = learn([lessons[0], worse])
-    assert 0.0 > both[0] > -found[0]  # the square roots of frames count, 20 and 63
+    assert 0.0 > both[0] > -found[0]  # 20 against 63
 
 
 @captured

@@ -113,8 +113,11 @@ def test_what_a_sensor_shows_of_a_body_before_losing_it_is_taken_out_and_told(
     if rows:  # or else there are no frames
         wrong = wrong.at(np.delete(np.arange(len(take)), gone))
     told = [(FailureKind.FALLEN_APART, apart.start, last)]
-    found = [one for one in bodies(wrong) if one[0] == FailureKind.FALLEN_APART]
-    assert found == (told if 0 < kept < 18 and lost > 9 else [])
+    if kept < 18:
+        assert bodies(wrong) == (told if kept and lost > 9 else [])
+    else:  # it may be seen from the side
+        kinds = {kind for kind, *_ in bodies(wrong)}
+        assert FailureKind.FALLEN_APART not in kinds
 
 
 @pytest.mark.parametrize("joint", ["HipCenter", "Spine", "KneeLeft", "HandRight"])
