@@ -18,29 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter import Avatar, Cleaner
-from kinefilter.characters import Skeleton, Take
+from kinefilter.characters import Take
 from kinefilter.pipeline.commands.terminal import out
 from kinefilter.pipeline.lab.simulation import recorded_pairs
-from kinefilter.pipeline.target.feet import ankles_and_toes, planted_feet
+from kinefilter.pipeline.lab.stance_lessons import planted
+from kinefilter.pipeline.target.feet import planted_feet
 
 _SLOW, _LOW = 0.4, 0.08  # m/s, m
-_LOWEST = 5.0  # percentile of heights that is the floor
 _EVERY = 9  # clips of pairs
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-
-def planted(time: Array, truth: Array, skeleton: Skeleton) -> tuple[Flags, Flags]:
-    """Return whether each foot is planted, and whether it is known, both (T, 2).
-
-    ``truth`` has the joints of the mocap [m] with the y axis up.
-    """
-    parts = truth[:, ankles_and_toes(skeleton)]  # (T, ankle and toes, foot, 3)
-    speed = np.linalg.norm(np.gradient(parts, time, axis=0), axis=3)
-    floor = np.nanpercentile(parts[..., 1], _LOWEST, axis=0)
-    rests = (speed < _SLOW) & (parts[..., 1] < floor + _LOW)
-    return np.any(rests, axis=1), np.all(np.isfinite(speed), axis=1)
 
 
 def live_contacts(take: Take, avatar: Avatar) -> Flags:
@@ -57,7 +44,7 @@ def main() -> None:
     pairs = chain.from_iterable(recorded_pairs(file, _EVERY) for file in files)
     for pair in pairs:
         take, clip = pair.take, Cleaner().clean(pair.take).clip
-        true, known = planted(take.time, pair.truth, take.skeleton)
+        true, known = planted(take.time, pair.truth, take.skeleton, _SLOW, _LOW)
         frames = np.abs(take.time[:, None] - clip.time).argmin(axis=0)
         live = live_contacts(take, Avatar(clip.body))
         guesses = np.ones_like(true)[frames], planted_feet(clip.contacts), live[frames]

@@ -33,6 +33,7 @@ __all__ = [
     "pulled_through",
     "stamps",
     "standing",
+    "toes_rest",
     "yaw_of",
 ]
 
@@ -54,6 +55,14 @@ def noisy(act: Motion, sigma: float = 0.006, seed: int = 0) -> Array:
     """Return where a performance's joints are seen, every axis off by sigma [m]."""
     rng = np.random.default_rng(seed)
     return act.positions + rng.normal(0.0, sigma, act.positions.shape)
+
+
+def toes_rest(time: Array, positions: Array, skeleton: Skeleton = KINECT_V1) -> Flags:
+    """Return where toes are slow and low: what a foot that stands does, (T, 2)."""
+    paths = positions[:, skeleton.sides("Foot")]
+    speed = np.linalg.norm(np.gradient(paths, time, axis=0), axis=2)
+    height = paths[..., 1]
+    return np.asarray((speed < 0.15) & (height < np.nanmin(height, axis=0) + 0.05))
 
 
 def polynomial(time: Array, *vectors: list[float]) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_motions import noisy, stamps, standing
+from known_motions import noisy, stamps, standing, toes_rest
 from numpy.typing import NDArray
 from real_data import PAIRS, paired
 from skeletons import every_skeleton
@@ -50,15 +50,6 @@ def stepping(
     path[:, feet, 2] += (length * share**2 * (3.0 - 2.0 * share))[:, None]
     path[:, feet, 1] += (height * np.sin(np.pi * share) ** 2)[:, None]
     return path
-
-
-def rests(time: Array, positions: Array, skeleton: Skeleton = KINECT_V1) -> Flags:
-    """Return where toes are slow and low: what a foot that stands does, (T, 2)."""
-    _, toes = ankles_and_toes(skeleton)
-    paths = positions[:, toes]
-    speed = np.linalg.norm(np.gradient(paths, time, axis=0), axis=2)
-    height = paths[..., 1]
-    return np.asarray((speed < 0.15) & (height < np.nanmin(height, axis=0) + 0.05))
 
 
 # Closed forms
@@ -171,21 +162,6 @@ def test_a_short_stance_keeps_its_half_in_the_middle() -> None:
     stands[20:26] = True
     shorter = feet._unloaded(stamps(60), stands)
     assert runs(shorter[:, 0]) == runs(shorter[:, 1]) == [slice(22, 24)]
-
-
-@pytest.mark.parametrize("foot", [0, 1])
-def test_frame_by_frame_a_change_has_to_gather_evidence(foot: int) -> None:
-    def stands(lifted: slice) -> Flags:
-        tracker, path = feet.StanceTracker(), np.tile([0.0, 0.08, 2.0], (60, 2, 1))
-        path[lifted, foot, 1] += 0.3
-        return np.array([tracker.step(ankles, 0.08, 1.0 / 30.0) for ankles in path])
-
-    assert stands(slice(20, 21)).all()
-    found = stands(slice(20, 40))
-    assert found[:20].all()
-    assert not found[25:40, foot].any()
-    assert found[-1].all()
-    assert found[:, 1 - foot].all()
 
 
 @settings(max_examples=150, deadline=None)
@@ -326,7 +302,7 @@ def test_feet_of_a_performance_stand_where_their_toes_rest(
 ) -> None:
     for seed in range(3):
         act = perform(motion, BODY, seed=seed)
-        truth = rests(act.time, act.positions)
+        truth = toes_rest(act.time, act.positions)
         stands = stance_of(act.time, noisy(act, sigma))
         assert np.mean(stands == truth) >= agreement
         assert np.mean(truth[stands]) >= rest
@@ -354,7 +330,7 @@ def test_only_who_jumps_often_stands_on_no_foot(
 @pytest.mark.parametrize("seed", range(4))
 def test_who_marches_on_the_spot_lifts_the_feet_in_turn(seed: int) -> None:
     act = perform("march", BODY, seed=seed)
-    truth = rests(act.time, act.positions)
+    truth = toes_rest(act.time, act.positions)
     stands = stance_of(act.time, noisy(act, 0.008))
     for foot in range(2):
         lifts = [s for s in runs(~truth[:, foot]) if s.stop - s.start > 8]
@@ -377,7 +353,7 @@ def test_feet_of_recorded_people_stand_where_those_of_the_mocap_rest(
             continue
         stands = find_stance(pair.take.time, path, seen.astype(float), KINECT_V1)
         known = ~np.isnan(pair.truth[:, toes, 0])
-        truth = rests(pair.take.time, pair.truth)
+        truth = toes_rest(pair.take.time, pair.truth)
         same.append((stands == truth)[known])
         resting.append(truth[stands & known])
     assert len(same) > 5

@@ -29,6 +29,7 @@ from kinefilter.characters.skeleton import SIDES
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.networks import Network
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.reconstruct import Reconstruct
 from kinefilter.pipeline.reconstruct.hidden_limbs import bridged_motion
@@ -38,7 +39,6 @@ from kinefilter.pipeline.reconstruct.prior import (
     PARTS,
     Mode,
     MotionPrior,
-    Network,
     inputs_of,
     network_name,
     part_of,
@@ -257,13 +257,13 @@ def train_prior(lessons: Lessons, executor: Executor | None = None) -> MotionPri
     return MotionPrior(dict(zip(lessons, networks, strict=True)))
 
 
-def _trained(name: str, rows: Rows) -> tuple[Array, Network]:
+def _trained(name: str, rows: Rows) -> Network:
     if name.startswith("gait"):
         return _gait_map(rows)
     return _network(name, rows)
 
 
-def _gait_map(rows: Rows) -> tuple[Array, Network]:
+def _gait_map(rows: Rows) -> Network:
     """Return ridge regression without an offset, for mirrored gaits are opposite."""
     inputs, truth = rows.inputs.astype(float), rows.truth.astype(float)
     size = np.sqrt(np.mean(inputs**2, axis=0))
@@ -271,10 +271,10 @@ def _gait_map(rows: Rows) -> tuple[Array, Network]:
     gram = given.T @ given + _GAIT_PENALTY * len(given) * np.eye(len(size))
     weights = np.linalg.solve(gram, given.T @ truth) / size[:, None]
     layer = (weights / OUTPUT).astype(np.float32), np.zeros(truth.shape[1], np.float32)
-    return np.zeros(len(size)), [layer]
+    return Network(np.zeros(len(size)), [layer])
 
 
-def _network(name: str, rows: Rows) -> tuple[Array, Network]:
+def _network(name: str, rows: Rows) -> Network:
     known = np.isfinite(rows.inputs)
     mean = np.mean(rows.inputs, axis=0, where=known, dtype=float)
     spread = np.std(rows.inputs, axis=0, where=known, dtype=float) + _SPREAD_FLOOR
@@ -311,7 +311,7 @@ def _network(name: str, rows: Rows) -> tuple[Array, Network]:
     layers = list(zip(averaged[:count], averaged[count:], strict=True))
     layers[0] = (layers[0][0] / spread[:, None], layers[0][1])
     layers[-1] = (factor * layers[-1][0], factor * layers[-1][1])
-    return mean, layers
+    return Network(mean, layers)
 
 
 def joint_error(

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinefilter.characters import Skeleton
-from kinefilter.characters.arrays import Array, Singles
+from kinefilter.characters.arrays import Array
 from kinefilter.characters.rotations import unit
 from kinefilter.characters.skeleton import LIMB_PARTS, SIDES
-from kinefilter.pipeline.formats.npz import read_arrays
+from kinefilter.pipeline.networks import Network, network_arrays, read_networks
 
 from . import windows
 from .windows import Descriptions, Stretches
@@ -56,7 +56,6 @@ _STANDING = 95.0  # percentile of the root's height that counts as standing. A g
 _NEAR = 0.2  # s from the ends of a gap within which the departure fades to zero
 
 Segments = tuple[int, ...]
-Network = list[tuple[Singles, Singles]]
 Mode = Literal["between", "before", "unseen"]
 """What is known of a hidden limb: its motion before and after, before, or nothing."""
 
@@ -64,49 +63,28 @@ Mode = Literal["between", "before", "unseen"]
 class MotionPrior:
     """Describes hidden limbs as ``windows.describe`` does, plus the learned departure.
 
-    ``networks`` holds, under the names that ``network_name`` gives, the mean of the
-    inputs, shape (F,), and the weights and biases of the layers. Without networks every
+    ``networks`` are under the names that ``network_name`` gives. Without networks every
     hidden limb continues its previous motion, and unseen ones are left to the method.
     """
 
-    def __init__(self, networks: Mapping[str, tuple[Array, Network]]) -> None:
+    def __init__(self, networks: Mapping[str, Network]) -> None:
         self.networks = networks
 
     @classmethod
     def load(cls, path: Path) -> MotionPrior:
-        """Read the networks from a file of ``arrays``."""
-        arrays = read_arrays(path, "weights of hidden limbs")
-        networks = {}
-        for name in (key.removesuffix("_mean") for key in arrays if "_mean" in key):
-            layers: Network = []
-            while (weights := arrays.get(f"{name}_weights_{len(layers)}")) is not None:
-                bias = arrays[f"{name}_biases_{len(layers)}"]
-                layers.append((weights.astype(np.float32), bias))
-            networks[name] = (arrays[f"{name}_mean"], layers)
-        return cls(networks)
+        """Read the networks from a file of ``network_arrays``."""
+        return cls(read_networks(path, "weights of hidden limbs"))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the networks as named arrays, for a file."""
-        arrays: dict[str, NDArray[Any]] = {}
-        for name, (mean, layers) in self.networks.items():
-            arrays[f"{name}_mean"] = mean.astype(np.float32)
-            for k, (weights, biases) in enumerate(layers):
-                arrays[f"{name}_weights_{k}"] = weights.astype(np.float16)
-                arrays[f"{name}_biases_{k}"] = biases.astype(np.float32)
-        return arrays
+        return network_arrays(self.networks)
 
     def change(self, name: str, inputs: Array) -> Array:
         """Return the departure of directions from the base, shape (..., 3 H).
 
         The ``inputs`` (..., F) come from ``inputs_of`` or ``posture_inputs``.
         """
-        mean, layers = self.networks[name]
-        given = np.where(np.isnan(inputs), 0.0, inputs - mean)
-        values: Singles = given.astype(np.float32)
-        for k, (weights, biases) in enumerate(layers):
-            values = values @ weights + biases
-            if k < len(layers) - 1:
-                values = np.maximum(values, 0.0)
+        values = self.networks[name](inputs)
         most = _MOST_UNSEEN if name.endswith("unseen") else _MOST
         return np.asarray((OUTPUT * values).clip(-most, most))
 

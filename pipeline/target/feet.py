@@ -12,6 +12,7 @@ from kinefilter.characters.anthropometry import GRAVITY
 from kinefilter.characters.arrays import Array, Flags, runs
 
 from .smooth import smooth
+from .stance_odds import stance_odds
 
 _CUTOFF = 3.0  # Hz: slower than Kinect's noise in the feet, faster than stances
 _LEAST_WEIGHT = 0.1  # of an invented ankle in the smoother; a measured one has 1
@@ -29,7 +30,12 @@ _ERROR_OF_HEIGHT = 0.1  # m
 _OFF_FLOOR = 0.25
 _STANDING = 20.0  # percentile of the ankles' heights that is taken for planted
 _SWITCH = 4.0  # cost of a change in log odds: the hysteresis. A guess.
-_SPEED_TIME = 0.1  # s over which speed is averaged where there is no look-ahead
+_DOUBT = 0.5
+"""Log odds against a live change. Feet of s02, s03 and s04 and of CMU's 02, 05, 06, 07,
+10, 16, 29 and 32 then change as often as in mocap; each of them had no part in that."""
+_SWING = 0.1  # s: the shortest live step, or feet that leave their place land at once
+_ABOVE = 0.08  # m of an ankle above one that bears, at which it does not land
+_RECENT = 0.8  # s of motion that is kept, twice as much as the odds need
 _ROUNDING = 1e-9  # s: of time stamps
 _RATE = 30.0  # Hz of the takes that the odds are for: a higher rate adds no evidence
 _DRIFT = 0.15  # m: an ankle that moved farther has made a step that was not detected
@@ -142,41 +148,43 @@ def _most_probable(log_odds: Array) -> Flags:
 
 
 class StanceTracker:
-    """Stance detector for live motion, without look-ahead; odds as in ``find_stance``.
+    """Stance detector for live motion, without look-ahead.
 
-    A change needs as much evidence as it costs there. A foot that moved away from where
-    it landed no longer stands.
+    A change needs log odds of ``_DOUBT``. A foot that moved away from where it landed
+    no longer stands.
     """
 
     def __init__(self) -> None:
-        self._paths: Array | None = None
-        self._places, self._lifted = np.zeros((2, 3)), np.zeros(2)
-        self._toes = np.full((2, 3), np.nan)
-        self._lead = np.full(2, _SWITCH)
+        self._time, self._legs = np.empty(0), np.empty((0, 4, 3))
+        self._places, self._lifted = np.zeros((2, 2)), np.zeros(2)
+        self._toes, self._left = np.full((2, 3), np.nan), np.full(2, -np.inf)
         self._stands = np.ones(2, dtype=np.bool_)
 
-    def step(self, ankles: Array, flat: float, dt: float) -> Flags:
-        """Return whether each foot is planted in a frame ``dt`` [s] later, shape (2,).
+    def step(self, time: float, legs: Array) -> Flags:
+        """Return whether each foot is planted in the next frame, shape (2,).
 
-        Ankles [m] (2, 3) have the floor at y = 0; ``flat`` is ``flat_height`` [m].
+        ``legs`` are those of ``stance_odds`` in that frame, shape (4, 3).
         """
-        if self._paths is None:
-            self._paths, self._places = ankles.copy(), ankles.copy()
-        moved = (1.0 - np.exp(-dt / _SPEED_TIME)) * (ankles - self._paths)
-        self._paths = self._paths + moved
-        speed, height = np.linalg.norm(moved, axis=1) / dt, self._paths[:, 1]
-        odds = _odds(speed, height, height - flat - _ERROR_OF_HEIGHT)
-        lead = (self._lead + odds * dt * _RATE).clip(-_SWITCH, _SWITCH)
-        away = np.linalg.norm((self._paths - self._places)[:, [0, 2]], axis=1)
-        stood = self._stands
-        self._lead = np.where(stood & (away > _DRIFT), -_SWITCH, lead)
-        self._stands = np.where(stood, self._lead > -_SWITCH, self._lead >= _SWITCH)
-        self._places = np.where(stood[:, None], self._places, ankles)
+        places = legs[2:, [0, 2]]
+        if not len(self._time):
+            self._places = places
+        recent = self._time > time - _RECENT
+        self._time = np.append(self._time[recent], time)
+        self._legs = np.concatenate([self._legs[recent], legs[None]])
+        odds = stance_odds(self._time, self._legs)
+        away = np.linalg.norm(places - self._places, axis=1)
+        stood, stays = self._stands, (odds > -_DOUBT) & (away <= _DRIFT)
+        above = np.diff(legs[[3, 2], 1]) * [1.0, -1.0]
+        lands = (odds > _DOUBT) & (time >= self._left + _SWING)
+        lands &= ~(self._stands[::-1] & (above > _ABOVE))
+        self._stands = np.where(stood, stays, lands)
+        self._left = np.where(stood & ~self._stands, time, self._left)
+        self._places = np.where(stood[:, None], self._places, places)
         return self._stands
 
     def let_go(self, feet: Flags) -> Flags:
         """Return the planted feet after some, shape (2,), have begun to step."""
-        self._lead = np.where(feet, -_SWITCH, self._lead)
+        self._left = np.where(self._stands & feet, self._time[-1], self._left)
         self._stands = self._stands & ~feet
         return self._stands
 

@@ -21,6 +21,7 @@ from .foot_pitch import PitchTracker, flat_angle, foot_pitches
 from .possible_postures import even_turns, possible_joints, possible_knees
 from .smooth import smooth, smooth_by_speed
 from .smooth_live import LiveSmoother
+from .stance_odds import legs_of
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
@@ -89,8 +90,9 @@ class Feet(Stage):
         """Reset the state for a new motion."""
         ankles, toes = feet.ankles_and_toes(body.skeleton)
         self._parts, self._stance = np.transpose([ankles, toes]), feet.StanceTracker()
-        self._flat, self._pitches = feet.flat_height(body, toes[0]), PitchTracker(body)
-        self._heights = np.stack([np.full(2, self._flat), body.radii[toes]], axis=1)
+        self._pitches, self._legs = PitchTracker(body), legs_of(body.skeleton)
+        flat = np.full(2, feet.flat_height(body, toes[0]))
+        self._heights = np.stack([flat, body.radii[toes]], axis=1)
         self._moved = np.zeros((2, 2, 3))  # by foot, ankle and toes
         self._places, self._ahead = np.zeros((2, 2, 2))  # by foot, x and z
         self._planted = np.zeros(2, dtype=np.bool_)
@@ -98,12 +100,11 @@ class Feet(Stage):
     def step(self, draft: Draft) -> None:
         """Hold, release or lift the feet of the next frame."""
         positions, weights = draft.positions.copy(), draft.weights.copy()
-        ankles, toes = self._parts.T
+        _, toes = self._parts.T
         elapsed, level, toe = draft.elapsed, [0, 2], toes[0]
-        stands = self._stance.step(positions[ankles], self._flat, elapsed)
-        pitch = self._pitches.step(
-            float(draft.time), positions, _shown(draft, toes), stands
-        )
+        now, shown = float(draft.time), _shown(draft, toes)
+        stands = self._stance.step(now, positions[self._legs])
+        pitch = self._pitches.step(now, positions, shown, stands)
         below = flat_angle(draft.body) - pitch
         path = planting.pointed(positions[self._parts], below, draft.body.lengths[toe])
         rest = partial(planting.standing_feet, below=below, body=draft.body, toe=toe)
