@@ -22,7 +22,8 @@ class Network(NamedTuple):
 
     def __call__(self, inputs: Array | Singles) -> Singles:
         """Return the outputs for inputs (..., F); a missing one (NaN) is usual."""
-        values: Singles = np.nan_to_num(inputs - self.mean).astype(np.float32)
+        given = np.where(np.isnan(inputs), 0.0, inputs - self.mean)
+        values: Singles = given.astype(np.float32)
         for k, (weights, biases) in enumerate(self.layers):
             values = values @ weights + biases
             if k < len(self.layers) - 1:

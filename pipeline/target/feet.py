@@ -177,7 +177,7 @@ class StanceTracker:
         odds = stance_odds(self._time, self._legs)
         away = np.linalg.norm(places - self._places, axis=1)
         stood, stays = self._stands, (odds > -_DOUBT) & (away <= _DRIFT)
-        above = np.diff(legs[[3, 2], 1]) * [1.0, -1.0]
+        above = legs[2:, 1] - legs[:1:-1, 1]
         lands = (odds > _DOUBT) & (time >= self._left + _SWING)
         lands &= ~(self._stands[::-1] & (above > _ABOVE))
         self._stands = np.where(stood, stays, lands)
