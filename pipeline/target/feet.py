@@ -36,8 +36,8 @@ _DOUBT = 0.5
 81 times, by networks that learned from the other half of these people."""
 # s of the shortest live step, without which feet that leave their place land at once,
 # and m of an ankle above one that bears, at which it does not land. Chosen on the same
-# people and on p00 to p08 of two-kinects.
-_SWING, _ABOVE = 0.1, 0.08
+# people and on p00 to p08 of two-kinects; with 0.1 s, contacts flicker.
+_SWING, _ABOVE = 0.15, 0.08
 _RECENT = 0.8  # s of motion that is kept, twice as much as the odds need
 _ROUNDING = 1e-9  # s: of time stamps
 _RATE = 30.0  # Hz of the takes that the odds are for: a higher rate adds no evidence
