@@ -45,7 +45,7 @@ def test_no_foot_stands_where_it_no_longer_is() -> None:
 
 def test_a_foot_is_lifted_while_it_steps_and_only_then() -> None:
     tracker, legs = feet.StanceTracker(), standing_legs(90)
-    ahead = np.interp(np.arange(90), [30, 50], [0.0, 0.8])
+    ahead = np.interp(np.arange(90), [30, 50], [0.0, 1.0])
     legs[:, 2, 2] += ahead
     toes = np.tile([0.0, 0.03, 2.0], (90, 2, 1))
     toes[:, 0, 2] += ahead
