@@ -72,6 +72,14 @@ def test_a_foot_that_is_lifted_is_told_within_a_few_frames(foot: int) -> None:
     assert stands[:, 1 - foot].all()
 
 
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("error", [[0.0, 0.3, 0.0], [0.3, 0.0, 0.0], [0.2, 0.2, 0.2]])
+def test_one_wrong_frame_lifts_no_foot(foot: int, error: list[float]) -> None:
+    legs = standing_legs(60)
+    legs[30, 2 + foot] += error
+    assert live_stances(stamps(60), legs).all()
+
+
 @pytest.mark.parametrize("fps", [15.0, 30.0, 60.0, 120.0])
 def test_feet_at_rest_stand_however_they_tremble(fps: float) -> None:
     time = stamps(int(6 * fps), fps)

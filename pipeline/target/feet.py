@@ -154,14 +154,14 @@ class StanceTracker:
     """Stance detector for live motion, without look-ahead.
 
     A change needs log odds of ``_DOUBT``. A foot that moved away from where it landed
-    no longer stands.
+    no longer stands. Either has to last two frames: one frame may be wrong.
     """
 
     def __init__(self) -> None:
         self._time, self._legs = np.empty(0), np.empty((0, 4, 3))
         self._places, self._lifted = np.zeros((2, 2)), np.zeros(2)
         self._toes, self._left = np.full((2, 3), np.nan), np.full(2, -np.inf)
-        self._stands = np.ones(2, dtype=np.bool_)
+        self._stands, self._stayed = np.ones((2, 2), dtype=np.bool_)
 
     def step(self, time: float, legs: Array) -> Flags:
         """Return whether each foot is planted in the next frame, shape (2,).
@@ -177,6 +177,7 @@ class StanceTracker:
         odds = stance_odds(self._time, self._legs)
         away = np.linalg.norm(places - self._places, axis=1)
         stood, stays = self._stands, (odds > -_DOUBT) & (away <= _DRIFT)
+        stays, self._stayed = stays | self._stayed, stays
         above = legs[2:, 1] - legs[:1:-1, 1]
         lands = (odds > _DOUBT) & (time >= self._left + _SWING)
         lands &= ~(self._stands[::-1] & (above > _ABOVE))
