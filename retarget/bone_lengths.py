@@ -16,8 +16,8 @@ _TRUNK = 30.0
 # Resistance of a bone between measured joints to being turned, 1 of a measured joint
 # to being moved. Without it, a leg that is too short for its bones bends at the knee.
 _DIRECTION = 2.0
-# Ease with which all above the knees moves as one, relative to a measured joint of a
-# limb. Without it, legs that get longer push heels down, which drag.
+# Ease with which all above the knees moves as one. Without it, legs that get longer
+# push heels down, which drag.
 _TOGETHER = 0.1
 
 
@@ -27,10 +27,11 @@ class BoneLengths:
     Newton's method solves all length constraints at once, like SHAKE (Ryckaert,
     Ciccotti & Berendsen 1977, J. Comput. Phys. 23), with the step that moves joints
     and turns bones least. Where it does not converge, bones keep their directions and
-    are chained from the root.
+    are chained from the root. How easily all above the knees moves ``together`` is
+    relative to a measured joint of a limb.
     """
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: Body, *, together: float = _TOGETHER) -> None:
         skeleton = self._skeleton = body.skeleton
         self._ends, self._starts = skeleton.segments, skeleton.segment_parents
         self._lengths = body.lengths[self._ends]
@@ -40,7 +41,7 @@ class BoneLengths:
         self._incidence = joints[self._ends] - joints[self._starts]
         above = np.ones(len(skeleton))
         above[skeleton.legs] = 0.0
-        self._together = _TOGETHER * np.outer(above, above)
+        self._together = together * np.outer(above, above)
         self._firm = np.ones(len(skeleton))
         trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]
         self._firm[[*trunk, *skeleton.sides("Shoulder")]] = _TRUNK

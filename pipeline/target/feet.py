@@ -34,6 +34,7 @@ _DOUBT = 0.5
 """Log odds that a live change needs. Feet of s02, s03 and s04 and of CMU's 02, 05, 06,
 07, 10, 16, 29 and 32 then change 70 times a minute, without it 92 times, and in mocap
 81 times, by networks that learned from the other half of these people."""
+_SURE = 2.0  # log odds in one frame with which a live foot still stands in the next
 # s of the shortest live step, without which feet that leave their place land at once,
 # and m of an ankle above one that bears, at which it does not land. Chosen on the same
 # people and on p00 to p08 of two-kinects; with 0.1 s, contacts flicker.
@@ -154,14 +155,15 @@ class StanceTracker:
     """Stance detector for live motion, without look-ahead.
 
     A change needs log odds of ``_DOUBT``. A foot that moved away from where it landed
-    no longer stands. Either has to last two frames: one frame may be wrong.
+    no longer stands.
     """
 
     def __init__(self) -> None:
         self._time, self._legs = np.empty(0), np.empty((0, 4, 3))
         self._places, self._lifted = np.zeros((2, 2)), np.zeros(2)
         self._toes, self._left = np.full((2, 3), np.nan), np.full(2, -np.inf)
-        self._stands, self._stayed = np.ones((2, 2), dtype=np.bool_)
+        self._stands, self._odds = np.ones(2, dtype=np.bool_), np.zeros(2)
+        self._strays = ~self._stands
 
     def step(self, time: float, legs: Array) -> Flags:
         """Return whether each foot is planted in the next frame, shape (2,).
@@ -176,8 +178,11 @@ class StanceTracker:
         self._legs = np.concatenate([self._legs[recent], legs[None]])
         odds = stance_odds(self._time, self._legs)
         away = np.linalg.norm(places - self._places, axis=1)
-        stood, stays = self._stands, (odds > -_DOUBT) & (away <= _DRIFT)
-        stays, self._stayed = stays | self._stayed, stays
+        # One frame may be wrong: no foot lets go that stood for certain in the last.
+        stood, stays = self._stands, (odds > -_DOUBT) | (self._odds > _SURE)
+        strays = away > _DRIFT
+        stays &= ~(strays & self._strays)
+        self._odds, self._strays = odds, strays
         above = legs[2:, 1] - legs[:1:-1, 1]
         lands = (odds > _DOUBT) & (time >= self._left + _SWING)
         lands &= ~(self._stands[::-1] & (above > _ABOVE))
