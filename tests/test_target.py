@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -115,6 +116,18 @@ def test_heels_do_not_drag_while_legs_get_longer(seed: int) -> None:
     )
     down = heels[..., 1] < flat_height(BODY, TOES[0]) + 0.01
     assert np.mean(down & (speed > 0.01)) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_hips_of_a_walker_do_not_drop_at_each_step(seed: int) -> None:
+    """Legs that are 3 % too short cannot reach where the feet land."""
+    act, lengths, hips = perform("walk", BODY, seed=seed), BODY.lengths.copy(), []
+    lengths[KINECT_V1.legs] *= 0.97
+    target = placed(act.time, noisy(act), replace(BODY, lengths=lengths))
+    for positions in (target.positions, act.positions):
+        hips.append(positions[:, KINECT_V1.hips].mean(axis=1))
+    speed = np.diff(hips[0] - hips[1], axis=0) / np.diff(act.time)[:, None]
+    assert np.linalg.norm(speed, axis=1).mean() < 0.08
 
 
 def test_contacts_say_heel_and_toes_of_both_feet(kick: Motion) -> None:

@@ -25,11 +25,11 @@ from .stance_odds import legs_of
 
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
-_BONES_CUTOFF = 3.0  # Hz; lengths are wrong for longer than joints tremble
-# Hz of the moves of all above the knees as one, and how easily it follows in the rounds
-# after that. As quick as the others, walkers' hips drop at each step. Chosen on s02 to
-# s04 and on CMU's people 02, 05, 06, 07, 10, 16, 29 and 32.
-_BODY_CUTOFF, _BODY_FOLLOWS = 1.0, 0.01
+# Hz of the moves of joints, as lengths are wrong for longer than joints tremble, and of
+# all above the knees as one, and how easily that follows later. As quick as the others,
+# walkers' hips would drop at each step. Chosen on s02 to s04 and on people 02, 05, 06,
+# 07, 10, 16, 29 and 32 of CMU.
+_BONES_CUTOFF, _BODY_CUTOFF, _BODY_FOLLOWS = 3.0, 1.0, 0.03
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
 # m by which a live foot is held: where its toes are farther from their place it steps,
@@ -178,17 +178,21 @@ class Bones(Stage):
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
         self._bones = BoneLengths(body)
-        self._moved: Array | None = None
+        self._last_bones = BoneLengths(body, together=_BODY_FOLLOWS)
+        self._above, self._moved = _above_knees(body.skeleton), np.empty(0)
 
     def step(self, draft: Draft) -> None:
         """Restore the lengths of the next frame; the moves are smoothed here, too."""
         positions, weights = draft.positions[None], draft.bone_weights[None]
         moved = self._bones.project(positions, weights) - positions
-        if self._moved is not None:
-            share = 1.0 - np.exp(-2.0 * np.pi * _BONES_CUTOFF * draft.elapsed)
-            moved = self._moved + share * (moved - self._moved)
-        self._moved = moved
-        there = self._bones.project(positions + moved, weights)
+        body = self._above * moved[:, draft.skeleton.hips].mean(axis=1, keepdims=True)
+        moves = np.stack([moved - body, body])
+        if len(self._moved):
+            cutoffs = np.reshape([_BONES_CUTOFF, _BODY_CUTOFF], (2, 1, 1, 1))
+            share = 1.0 - np.exp(-2.0 * np.pi * cutoffs * draft.elapsed)
+            moves = self._moved + share * (moves - self._moved)
+        self._moved = moves
+        there = self._last_bones.project(positions + moves.sum(axis=0), weights)
         draft.positions = floor.put_on_floor(there, draft.body)[0]
 
     def whole(self, draft: Draft, progress: Progress) -> None:
@@ -202,26 +206,27 @@ class Bones(Stage):
         # A lifted foot shortens its leg, and a straight knee would bend either way.
         positions = possible_knees(positions, body.skeleton)
         moved = bones.project(positions, weights) - positions
-        moved = self._smoothed(draft.time, moved, weights, body.skeleton)
-        there, bones = positions + moved, BoneLengths(body, together=_BODY_FOLLOWS)
+        hips, above = body.skeleton.hips, _above_knees(body.skeleton)
+        together = moved[:, hips].mean(axis=1, keepdims=True)
+        seen = weights[:, hips].min(axis=1, keepdims=True).clip(_LEAST_WEIGHT, 1.0)
+        slow = smooth(draft.time, together, seen, cutoff=_BODY_CUTOFF)
+        moved -= above * seen[..., None] * (together - slow)
+        # A foot that stands is not drawn along by the step before or after.
+        firm = np.maximum(weights, 1.0)
+        there = positions + smooth(draft.time, moved, firm, cutoff=_BONES_CUTOFF)
+        bones = BoneLengths(body, together=_BODY_FOLLOWS)
         # Raised toes lengthen the legs, and the body has to follow: several rounds.
         for _ in range(_LANDINGS):
             there = possible_knees(there, body.skeleton)
             there = floor.put_on_floor(bones.project(there, weights), body)
         draft.positions = there
 
-    @staticmethod
-    def _smoothed(
-        time: Array, moved: Array, weights: Array, skeleton: Skeleton
-    ) -> Array:
-        body = moved[:, skeleton.hips].mean(axis=1, keepdims=True)
-        slow = smooth(time, body, np.ones_like(body[..., 0]), cutoff=_BODY_CUTOFF)
-        above = np.ones((len(skeleton), 1))
-        above[skeleton.legs] = 0.0
-        # A foot that stands is not drawn along by the step before or after.
-        firm = np.maximum(weights, 1.0)
-        quick = smooth(time, moved - above * body, firm, cutoff=_BONES_CUTOFF)
-        return np.asarray(quick + above * slow)
+
+def _above_knees(skeleton: Skeleton) -> Array:
+    """Return 1 for joints above the knees, and 0 for the others, shape (J, 1)."""
+    above = np.ones((len(skeleton), 1))
+    above[skeleton.legs] = 0.0
+    return above
 
 
 def posed(draft: Draft) -> Array:
