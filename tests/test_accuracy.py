@@ -31,6 +31,13 @@ def test_a_constant_offset_is_an_error_but_no_varying_one() -> None:
     assert accuracy.varying(moved, act.positions)[:, column] == pytest.approx(0.0)
 
 
+def test_hips_are_off_by_their_speed_and_not_by_their_place() -> None:
+    act = perform("walk", standard_body(KINECT_V1), seed=0)
+    ahead = act.positions + [0.3, 0.0, 0.0] + 0.2 * act.time[:, None, None]
+    away = Accuracy(KINECT_V1).hips(act.time, ahead, act.positions)
+    np.testing.assert_allclose(away, 0.2 * np.sqrt(3.0))
+
+
 def test_size_is_an_error_but_no_standardized_one() -> None:
     small, tall = (_standing(h) for h in (1.5, 1.9))
     accuracy = Accuracy(KINECT_V1)

@@ -18,6 +18,7 @@ LIMBS = tuple(part + side for part in LIMB_PARTS for side in SIDES)
 FAR = 0.07  # m: offset-free error above which a joint counts as wrong
 MISPLACED = 0.12  # m, likewise, averaged over half a second, to warn about
 _AVERAGED = 0.5  # s over which that error is averaged
+_SHORTEST = 1e-3  # s between two frames
 
 
 class Accuracy:
@@ -43,6 +44,15 @@ class Accuracy:
         """Return E_var [m], less each joint's constant offset, (T, 12)."""
         away = self.away(positions, truth)
         return np.asarray(np.linalg.norm(away - mean_of_known(away), axis=2))
+
+    def hips(self, time: Array, positions: Array, truth: Array) -> Array:
+        """Return the error of the velocity of the hips' middle [m/s], (T - 1,).
+
+        It is NaN where unknown; time stamps [s] increase.
+        """
+        middle = (positions - truth)[:, self.skeleton.hips].mean(axis=1)
+        speed = np.linalg.norm(np.diff(middle, axis=0), axis=1)
+        return np.asarray(speed / np.maximum(np.diff(time), _SHORTEST))
 
     def away(self, positions: Array, truth: Array) -> Array:
         """Return error vectors of limb joints [m], NaN where unknown, (T, 12, 3)."""
@@ -88,6 +98,7 @@ class _Person:
     distances: list[Array] = field(default_factory=list)
     standardized: list[Array] = field(default_factory=list)
     varying: list[Array] = field(default_factory=list)
+    hips: list[Array] = field(default_factory=list)
     jitters: list[float] = field(default_factory=list)
     ratios: list[Array] = field(default_factory=list)  # errors over uncertainties
     wrong: list[Flags] = field(default_factory=list)  # raw joints beyond ``FAR``
@@ -97,12 +108,13 @@ class _Person:
     """Whether a limb was misplaced, and whether a warning said so."""
 
     def figures(self) -> dict[str, float | None]:
-        """Return means over frames and joints [cm], and the jitter [m/s^3].
+        """Return means over frames and joints [cm, cm/s], and the jitter [m/s^3].
 
         ``found`` is the area under the ROC curve of how far a joint was moved, for
         wrong raw joints; for the others see ``within_uncertainty``.
         """
         distances = np.concatenate(self.distances)
+        hips = mean_of_known(np.concatenate(self.hips)[:, None])[0]
         within = within_uncertainty(np.concatenate(self.ratios or [np.empty(0)]))
         wrong, moved = np.concatenate(self.wrong), np.concatenate(self.moved)
         return {
@@ -110,6 +122,7 @@ class _Person:
             "E_std": float(np.nanmean(np.concatenate(self.standardized)) * 100),
             "E_var": float(np.nanmean(np.concatenate(self.varying)) * 100),
             "p95": float(np.nanpercentile(distances, 95) * 100),
+            "hips": float(hips * 100) if np.isfinite(hips) else None,
             "jitter": float(np.nanmean(self.jitters)),
             "within_68": within[0] if within else None,
             "within_95": within[1] if within else None,
@@ -144,6 +157,7 @@ class Tally:
         person.distances.append(accuracy.distances(positions, truth))
         person.standardized.append(accuracy.standardized(positions, truth))
         person.varying.append(accuracy.varying(positions, truth))
+        person.hips.append(accuracy.hips(pair.take.time, positions, truth))
         person.movements.append(pair.movement)
         person.jitters.append(jitter(pair.take.time, positions[:, accuracy.limbs]))
         raw = accuracy.varying(pair.take.positions, truth)

@@ -67,11 +67,12 @@ def evaluate(
     result has, as floats or None where unknown:
 
     - ``methods``: for each, and for raw, ``E``, ``E_std``, ``E_var`` and ``p95`` [cm];
-      ``jitter`` [m/s³]; ``within_68`` and ``within_95``, the two shares of within [%];
-      ``found``; ``ms_per_frame``; ``joints``, E of each [cm]; ``people``, these figures
-      of each; ``movements``, E_var [cm] of each person in each; and counts of clips:
-      ``clips_off``, where a limb is 12 cm off for half a second, ``clips_off_told``, of
-      which the method warns, and ``false_alarms``, the other clips of which it warns
+      ``hips`` [cm/s]; ``jitter`` [m/s³]; ``within_68`` and ``within_95``, the two
+      shares of within [%]; ``found``; ``ms_per_frame``; ``joints``, E of each [cm];
+      ``people``, these figures of each; ``movements``, E_var [cm] of each person in
+      each; and counts of clips: ``clips_off``, where a limb is 12 cm off for half a
+      second, ``clips_off_told``, of which the method warns, and ``false_alarms``, the
+      other clips of which it warns
     - ``reliability_auc``: of each scoring, how well it detects joints ``over_10_cm``
       off, and ``varying_over_7_cm`` about their constant offset (area under the ROC
       curve)
@@ -307,7 +308,7 @@ def as_table(figures: dict[str, Any]) -> Table:
         f"{counted(count, 'clip')}, protocol {figures['protocol']}{physics}; errors in "
         "cm, and their change from raw"
     )
-    headings = ("E", "E_std", "E_var", "p95", "jitter", "ms", "within", "found")
+    headings = ["E", "E_std", "E_var", "p95", "hips", "jitter", "ms", "within", "found"]
     table = Table(Column("method", no_wrap=True), *headings, title=title)
     raw = figures["methods"]["raw"]
     for name, row in figures["methods"].items():
@@ -316,6 +317,7 @@ def as_table(figures: dict[str, Any]) -> Table:
             name,
             *errors,
             f"{row['p95']:.1f}",
+            _numbers(".1f", row["hips"]),
             f"{row['jitter']:.0f}",
             f"{row['ms_per_frame']:.2f}",
             _numbers(".0f", row["within_68"], row["within_95"]),
