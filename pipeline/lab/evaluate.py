@@ -308,7 +308,7 @@ def as_table(figures: dict[str, Any]) -> Table:
         f"{counted(count, 'clip')}, protocol {figures['protocol']}{physics}; errors in "
         "cm, and their change from raw"
     )
-    headings = ["E", "E_std", "E_var", "p95", "hips", "jitter", "ms", "within", "found"]
+    headings = ("E", "E_std", "E_var", "hips", "jitter", "ms", "within", "found")
     table = Table(Column("method", no_wrap=True), *headings, title=title)
     raw = figures["methods"]["raw"]
     for name, row in figures["methods"].items():
@@ -316,7 +316,6 @@ def as_table(figures: dict[str, Any]) -> Table:
         table.add_row(
             name,
             *errors,
-            f"{row['p95']:.1f}",
             _numbers(".1f", row["hips"]),
             f"{row['jitter']:.0f}",
             f"{row['ms_per_frame']:.2f}",

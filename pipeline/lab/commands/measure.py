@@ -42,11 +42,12 @@ class Evaluate:
     of the hips; E_std the same with both sides scaled to standard bone lengths; E_var
     the same without each joint's constant offset over a clip, which leaves what a
     viewer notices as wrong motion. All are in cm: means over frames and joints, then
-    over people, and relative to the raw take. Further columns: p95, the 95th percentile
-    of E's distances [cm]; hips, the error of their velocity [cm/s]; jitter [m/s³]; ms,
-    the method's time per frame; within, the share of coordinates within the uncertainty
-    that the clip states, and below 1.96 times it; and found, how well the distance by
-    which a method moves a joint detects errors above 7 cm (area under the ROC curve).
+    over people, and relative to the raw take. Further columns: hips, the error of their
+    velocity [cm/s]; jitter [m/s³]; ms, the method's time per frame; within, the share
+    of coordinates within the uncertainty that the clip states, and below 1.96 times it;
+    and found, how well the distance by which a method moves a joint detects errors
+    above 7 cm (area under the ROC curve). With --json, there is also p95, the 95th
+    percentile of E's distances [cm].
 
     default is exactly what clean does, with the weights that ship. They were trained on
     the six people of UI-PRMD and on fourteen people recorded by two Kinects; learned is
