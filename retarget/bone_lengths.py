@@ -28,7 +28,8 @@ class BoneLengths:
     Ciccotti & Berendsen 1977, J. Comput. Phys. 23), with the step that moves joints
     and turns bones least. Where it does not converge, bones keep their directions and
     are chained from the root. How easily all above the knees moves ``together`` is
-    relative to a measured joint of a limb.
+    relative to a measured joint of a limb; ``above`` is 1 for these joints, 0 for
+    others, shape (J,).
     """
 
     def __init__(self, body: Body, *, together: float = _TOGETHER) -> None:
@@ -39,9 +40,9 @@ class BoneLengths:
         self._ridge = 1e-9 * np.eye(len(self._ends))
         joints = np.eye(len(skeleton))
         self._incidence = joints[self._ends] - joints[self._starts]
-        above = np.ones(len(skeleton))
-        above[skeleton.legs] = 0.0
-        self._together = together * np.outer(above, above)
+        self.above = np.ones(len(skeleton))
+        self.above[skeleton.legs] = 0.0
+        self._together = together * np.outer(self.above, self.above)
         self._firm = np.ones(len(skeleton))
         trunk = [skeleton.root, skeleton.girdle, *skeleton.hips]
         self._firm[[*trunk, *skeleton.sides("Shoulder")]] = _TRUNK

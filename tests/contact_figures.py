@@ -30,7 +30,6 @@ from kinefilter.pipeline.target.smooth import smooth_by_speed
 
 _SLOW, _LOW = 0.4, 0.08  # m/s, m
 _EVERY = 9  # clips of pairs
-_RESULTS = "positions", "stands"
 
 Array, Flags = NDArray[np.float64], NDArray[np.bool_]
 
@@ -41,8 +40,8 @@ def followed(take: Take, body: Body) -> tuple[Array, Flags]:
     cleaner.start(body)
     frames = zip(take.positions, take.time, take.state, strict=True)
     drafts = [cleaner.step(p, float(s), state) for p, s, state in frames]
-    joints, stands = ([getattr(d, name) for d in drafts] for name in _RESULTS)
-    return np.array(joints), np.array(stands)
+    joints = np.array([draft.positions for draft in drafts])
+    return joints, np.array([draft.stands for draft in drafts])
 
 
 def smoothed(take: Take) -> Array:

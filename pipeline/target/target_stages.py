@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from kinefilter.characters import Body, Skeleton, positions_from_rotations
+from kinefilter.characters import Body, positions_from_rotations
 from kinefilter.characters.arrays import Array, Flags, chunks
 from kinefilter.characters.gaps import parts_of
 from kinefilter.characters.rotations import unit
@@ -26,9 +26,9 @@ from .stance_odds import legs_of
 _LEAST_WEIGHT = 0.1  # of an invented joint in the smoother; a measured one has 1
 _LEAST_BONE_WEIGHT = 0.3  # bone weight of an invented joint; a measured one has 1
 # Hz of the moves of joints, as lengths are wrong for longer than joints tremble, and of
-# all above the knees as one, and how easily that follows later. As quick as the others,
-# walkers' hips would drop at each step. Chosen on s02 to s04 and on people 02, 05, 06,
-# 07, 10, 16, 29 and 32 of CMU.
+# all above the knees as one, and how easily that moves afterwards. If it were as quick
+# as the joints, walkers' hips would drop at each step. Chosen on s02 to s04 and on
+# people 02, 05, 06, 07, 10, 16, 29 and 32 of CMU.
 _BONES_CUTOFF, _BODY_CUTOFF, _BODY_FOLLOWS = 3.0, 1.0, 0.03
 _LANDINGS = 8  # times that joints are raised to the floor and put back on their bones
 _LET_GO = 0.05  # s in which a stepping foot joins its measured path
@@ -179,14 +179,15 @@ class Bones(Stage):
         """Reset the state for a new motion."""
         self._bones = BoneLengths(body)
         self._last_bones = BoneLengths(body, together=_BODY_FOLLOWS)
-        self._above, self._moved = _above_knees(body.skeleton), np.empty(0)
+        self._moved = np.empty(0)
 
     def step(self, draft: Draft) -> None:
         """Restore the lengths of the next frame; the moves are smoothed here, too."""
         positions, weights = draft.positions[None], draft.bone_weights[None]
         moved = self._bones.project(positions, weights) - positions
-        body = self._above * moved[:, draft.skeleton.hips].mean(axis=1, keepdims=True)
-        moves = np.stack([moved - body, body])
+        together = moved[:, draft.skeleton.hips].mean(axis=1, keepdims=True)
+        together = self._bones.above[:, None] * together
+        moves = np.stack([moved - together, together])
         if len(self._moved):
             cutoffs = np.reshape([_BONES_CUTOFF, _BODY_CUTOFF], (2, 1, 1, 1))
             share = 1.0 - np.exp(-2.0 * np.pi * cutoffs * draft.elapsed)
@@ -206,7 +207,7 @@ class Bones(Stage):
         # A lifted foot shortens its leg, and a straight knee would bend either way.
         positions = possible_knees(positions, body.skeleton)
         moved = bones.project(positions, weights) - positions
-        hips, above = body.skeleton.hips, _above_knees(body.skeleton)
+        hips, above = body.skeleton.hips, bones.above[:, None]
         together = moved[:, hips].mean(axis=1, keepdims=True)
         seen = weights[:, hips].min(axis=1, keepdims=True).clip(_LEAST_WEIGHT, 1.0)
         slow = smooth(draft.time, together, seen, cutoff=_BODY_CUTOFF)
@@ -220,13 +221,6 @@ class Bones(Stage):
             there = possible_knees(there, body.skeleton)
             there = floor.put_on_floor(bones.project(there, weights), body)
         draft.positions = there
-
-
-def _above_knees(skeleton: Skeleton) -> Array:
-    """Return 1 for joints above the knees, and 0 for the others, shape (J, 1)."""
-    above = np.ones((len(skeleton), 1))
-    above[skeleton.legs] = 0.0
-    return above
 
 
 def posed(draft: Draft) -> Array:
