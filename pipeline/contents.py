@@ -232,8 +232,10 @@ def _of_mocap(mocap: Mocap) -> dict[str, Any]:
     try:
         motion = kinect_motion(mocap, KINECT_V1, RIGS)
     except InputError as error:
-        return contents | {"rig": None, "unit": None, "notes": [str(error)]}
-    return contents | {"rig": motion.rig, "unit": motion.unit, "notes": []}
+        notes = [*mocap.notes, str(error)]
+        return contents | {"rig": None, "unit": None, "notes": notes}
+    notes = list(mocap.notes)
+    return contents | {"rig": motion.rig, "unit": motion.unit, "notes": notes}
 
 
 def _of_recording(recording: Recording) -> dict[str, Any]:

@@ -115,13 +115,10 @@ def read_ui_prmd(folder: Path, every: int) -> list[PairedTake]:
 
 
 def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
-    """Return the postures of the BVH files, 30 a second thinned, and each one's file.
-
-    The first frame is a T-pose that nobody moved through, and is left out.
-    """
+    """Return the postures of the BVH files, 30 a second thinned, and each one's file."""
     postures, clips = [], []
     for file in sorted(folder.glob("*.bvh.gz")):
-        found = mocap_postures(read_mocap(file), KINECT_V1)[1:]
+        found = mocap_postures(read_mocap(file), KINECT_V1)
         found = standardized(found)[::every]
         postures.append(found)
         clips.append(np.full(len(found), file.name.split(".")[0]))

@@ -12,6 +12,7 @@ from text_files import write_text
 
 from kinefilter.characters import KINECT_V2, Take
 from kinefilter.pipeline.formats import read_recording
+from kinefilter.pipeline.formats.mocap import read_mocap
 
 # Name, name of the parent, joint of Kinect v2 at which it is.
 ROKOKO = """
@@ -157,15 +158,20 @@ def test_every_joint_is_on_its_side_under_the_names_of_a_recorder(
     assert not found.by_kinect
 
 
-@pytest.mark.parametrize(("frames", "left_out"), [(1, 1), (2, 0)])
-def test_only_a_single_rest_posture_at_the_start_is_left_out(
-    tmp_path: Path, frames: int, left_out: int
+@pytest.mark.parametrize(
+    ("raised", "left_out"),
+    [((0.5,), 1), ((0.5, -0.5), 2), ((0.5, 0.5), 0), ((0.5, -0.5, 0.5), 0)],
+)
+def test_rest_postures_that_leap_away_at_the_start_are_left_out(
+    tmp_path: Path, raised: tuple[float, ...], left_out: int
 ) -> None:
     truth = scripted("walk")
     positions, wrists = truth.positions.copy(), KINECT_V2.sides("Wrist")
-    positions[:frames, wrists] += [[0.6, 0.5, 0.0], [-0.6, 0.5, 0.0]]
+    for frame, height in enumerate(raised):
+        positions[frame, wrists] += [[0.6, height, 0.0], [-0.6, height, 0.0]]
     truth = replace(truth, positions=positions)
-    recording = read_recording(write_text(tmp_path / "a.bvh", bvh(truth, ROKOKO)))
+    path = write_text(tmp_path / "a.bvh", bvh(truth, ROKOKO))
+    recording = read_recording(path)
     (found,) = recording.takes
-    assert len(found) == len(truth) - left_out
-    assert sum("rest posture" in note for note in recording.notes) == left_out
+    assert len(found) == len(read_mocap(path).positions) == len(truth) - left_out
+    assert sum("rest posture" in note for note in recording.notes) == bool(left_out)

@@ -17,7 +17,7 @@ only landmarks with a visibility of at least 0.5.
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +52,10 @@ _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU": 0.056444}
 """Units of mocap in meters; CMU's is an inch over 0.45."""
 _TOLERANCE = 1.5  # largest ratio of a body's lengths to the standard body's, or inverse
 _TRACKED_FROM = 0.5  # confidence, see above
-_LEAVES = (15.0, 5.0)
-"""Speed of a joint relative to the root [m/s], and how many times the next one, that
-show that a converter added a rest posture as first frame: in 125 of CMU's 126 clips."""
+_LEAVES = (9.0, 5.0)
+"""Speed of a joint relative to the root [heights/s], and how many times the next one,
+that show that a converter put a rest posture before the motion, as in all of CMU's."""
+_MOST_AT_REST = 2  # frames
 _STILL = 1e-3  # m; a tracker whose hips move less always puts them in the same place
 _AHEAD = np.array([0.0, 0.0, 2.0])
 """Shift [m] of such a motion, since a joint at the origin counts as missing."""
@@ -106,9 +107,39 @@ def read_mocap(path: AnyPath, skeletons: Sequence[Path] = ()) -> Mocap:
 
 
 def bvh_mocap(source: str) -> Mocap:
-    """Read a BVH file; raises InputError if it is malformed."""
+    """Read a BVH file without rest postures that a converter put before the motion.
+
+    Raises InputError if the file is malformed.
+    """
     bvh = read_bvh(source)
-    return Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
+    mocap = Mocap(bvh.names, bvh.positions, bvh.rotations, bvh.frame_time, source)
+    begin = _motion_begins(mocap)
+    if begin == 0:
+        return mocap
+    assert mocap.rotations is not None
+    left_out = "frame is" if begin == 1 else f"{begin} frames are"
+    return replace(
+        mocap,
+        positions=mocap.positions[begin:],
+        rotations=mocap.rotations[begin:],
+        time=mocap.stamps[begin:],
+        notes=(f"the first {left_out} left out: a rest posture, not motion",),
+    )
+
+
+def _motion_begins(mocap: Mocap) -> int:
+    """Return the first frame from which joints do not leap, or 0 if others leap too."""
+    if len(mocap.positions) < 3:
+        return 0
+    joints = mocap.positions[: _MOST_AT_REST + 2]
+    joints = joints - joints[:, :1]
+    moves = np.linalg.norm(np.diff(joints, axis=0), axis=2).max(axis=1)
+    height = np.ptp(joints[0], axis=0).max()
+    leaps = moves > _LEAVES[0] * mocap.frame_time * height
+    if leaps.all():
+        return 0
+    begin = int(np.argmin(leaps))
+    return begin if begin and moves[begin - 1] > _LEAVES[1] * moves[begin] else 0
 
 
 def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
@@ -125,26 +156,11 @@ def recording_of(mocap: Mocap, time: Array | None = None) -> Recording:
     skeleton = skeletons[1] if missing else skeletons[0]
     positions, motion, notes = kinect_joints(mocap, skeleton, rigs)
     time = mocap.stamps if time is None else time
-    begin = 0
-    if mocap.rotations is not None:
-        begin = int(_begins_at_rest(time, positions - positions[:, [skeleton.root]]))
-    if begin:
-        notes += ("the first frame is left out: it is a rest posture",)
-    rows = time[begin:], positions[begin:], motion.state[begin:]
+    rows = time, positions, motion.state
     takes, others = takes_of_rows(*rows, skeleton, mocap.source)
-    recording = Recording(takes, unit=motion.unit or "unknown", notes=notes + others)
+    notes += mocap.notes + others
+    recording = Recording(takes, unit=motion.unit or "unknown", notes=notes)
     return recording if motion.rig == skeleton.name else not_by_kinect(recording)
-
-
-def _begins_at_rest(time: Array, joints: Array) -> bool:
-    """Return True if joints leap from their posture in the first frame, and no more."""
-    if len(joints) < 3:
-        return False
-    moves = np.linalg.norm(np.diff(joints[:3], axis=0), axis=2)
-    moves = np.nan_to_num(moves).max(axis=1)
-    first, second = np.diff(time[:3])
-    quick = moves[0] > _LEAVES[0] * first > 0.0
-    return bool(quick and moves[0] * second > _LEAVES[1] * moves[1] * first)
 
 
 def kinect_joints(

@@ -377,7 +377,8 @@ class Mocap:
     frame_time: float  # between frames [s]
     source: str
     confidence: Array | None = None  # in each joint, 0 to 1, shape (T, N), if known
-    time: Array | None = None  # of the frames [s], shape (T,), if they are uneven
+    time: Array | None = None  # of the frames [s], (T,), if uneven or not from 0
+    notes: tuple[str, ...] = ()  # what the reader found
 
     @property
     def stamps(self) -> Array:

@@ -168,8 +168,7 @@ def _take_of_mocap(file: Path, name: str) -> Take:
     positions = kinect_motion(mocap, KINECT_V1, RIGS).positions
     meters, _ = mocap_body(positions, KINECT_V1)
     step = max(1, round(1.0 / (_MOCAP_RATE * mocap.frame_time)))
-    # The first frame is skipped, because it often is a T-pose.
-    frames = np.flatnonzero(whole_frames(positions))[1::step]
+    frames = np.flatnonzero(whole_frames(positions))[::step]
     positions = meters * positions[frames]
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     positions += rng.normal(scale=_JITTER, size=positions.shape)

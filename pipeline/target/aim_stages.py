@@ -1,7 +1,7 @@
 """The stages that orient the segments: limbs, then head and hands.
 
-Relative to the segments they hang on, these turn slowly and little. So they are
-smoothed there, and more strongly than joints are in the room.
+Relative to the segments they hang on, limbs and hands turn slowly and little. So they
+are smoothed there, and more strongly than joints are in the room.
 """
 
 from abc import abstractmethod
@@ -14,7 +14,7 @@ import numpy as np
 from kinefilter.characters import Body
 from kinefilter.characters.arrays import Array, chunks
 from kinefilter.characters.gaps import parts_of
-from kinefilter.characters.rotations import continuous, slerp
+from kinefilter.characters.rotations import continuous, inverse, rotate, slerp
 from kinefilter.pipeline.draft import Draft
 from kinefilter.pipeline.progress import Progress
 from kinefilter.pipeline.stages import CHUNK, Stage
@@ -117,16 +117,20 @@ class _Aim(Stage):
 class AimHead(_Aim):
     """Stage that bends the head by all joints above the shoulders.
 
-    It turns the head with the face, if the sensor sees that.
+    People keep their heads steady in the room, not on their chests, so the head is
+    smoothed there. It turns with the face, if the sensor sees that.
     """
 
     name = "head"
-    cutoffs, chains = (1.2, 1.2), Neck
+    cutoffs, chains = (2.0, 1.2), Neck
 
     @staticmethod
     def _aim(draft: Draft, chains: Neck, filters: Sequence[_Filter]) -> None:
         joints, (aim, look) = (draft.positions, draft.rotations), filters
-        head = chains.straightened(*aim(*chains.aims(*joints, _weights(draft))))
+        chest = joints[1].take(chains.starts, -2)
+        ways, weights = chains.aims(*joints, _weights(draft))
+        ways, weights = aim(rotate(chest, ways), weights)
+        head = chains.straightened(rotate(inverse(chest), ways), weights)
         turn = None
         if draft.face is not None:
             seen = np.isfinite(draft.face).all(axis=-1, keepdims=True)
