@@ -26,7 +26,7 @@ from kinefilter.pipeline.lab.simulation import recorded_pairs
 from kinefilter.pipeline.lab.stance_lessons import planted
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.target.feet import planted_feet
-from kinefilter.pipeline.target.smooth import smooth_by_speed
+from kinefilter.pipeline.target.smooth import smooth_by_speed, travel_of
 
 _SLOW, _LOW = 0.4, 0.08  # m/s, m
 _EVERY = 9  # clips of pairs
@@ -48,10 +48,15 @@ def smoothed(take: Take) -> Array:
     """Return joints [m] that are smoothed as clips are; frames without hips are NaN."""
     joints = np.full_like(take.positions, np.nan)
     seen, hips = np.flatnonzero(hips_seen(take)), list(take.skeleton.hips)
-    path, cutoff = take.positions[seen][:, hips], CleanConfig().cutoff
-    weights = np.ones(path.shape[:2])
-    path = smooth_by_speed(take.time[seen], path, weights, cutoff=cutoff)
-    joints[seen[:, None], hips] = path
+    time, path = take.time[seen], take.positions[seen]
+    travel = travel_of(time, path, take.skeleton)[:, hips]
+    joints[seen[:, None], hips] = smooth_by_speed(
+        time,
+        path[:, hips],
+        np.ones((len(path), 2)),
+        cutoff=CleanConfig().cutoff,
+        travel=travel,
+    )
     return joints
 
 

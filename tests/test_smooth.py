@@ -10,12 +10,13 @@ from known_motions import stamps
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.target.smooth import smooth, smooth_by_speed
+from kinefilter.pipeline.target.smooth import smooth, smooth_by_speed, travel_of
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
 
 FPS = 30.0
+REST = standard_body(KINECT_V1).rest_positions
 
 
 def noise(count: int, joints: int = 2, seed: int = 0) -> Array:
@@ -182,7 +183,7 @@ def test_arguments_are_not_modified() -> None:
 
 # By speed
 
-SLOWEST = 0.7  # Hz: the cutoff of a joint at rest
+SLOWEST = 1.2
 
 
 def ones(values: Array) -> Array:
@@ -229,7 +230,7 @@ def test_a_joint_that_rests_is_smoothed_with_the_slowest_cutoff() -> None:
 def test_a_joint_that_is_fast_is_smoothed_with_the_highest_cutoff() -> None:
     time = stamps(200)
     path = 0.005 * noise(200, 1)
-    path[:, 0, 0] += 3.0 * time
+    path[:, 0, 0] += 4.0 * time
     smoothed = smooth_by_speed(time, path, ones(path), cutoff=6.0)
     expected = smooth(time, path, ones(path), cutoff=6.0)
     np.testing.assert_allclose(smoothed, expected, atol=1e-9)
@@ -367,3 +368,23 @@ def test_by_speed_too_arguments_are_not_modified() -> None:
     smooth_by_speed(time, values, weights, cutoff=6.0)
     for array, copy in zip((time, values, weights), before, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_a_body_that_walks_is_smoothed_as_if_it_stood_but_for_its_feet() -> None:
+    time = stamps(200)
+    trembling = REST + 0.005 * noise(200, len(KINECT_V1))
+    walk = 1.3 * time[:, None, None] * [0.6, 0.0, 0.8]
+    stood, walked = (
+        smooth_by_speed(
+            time,
+            joints,
+            ones(joints),
+            cutoff=6.0,
+            travel=travel_of(time, joints, KINECT_V1),
+        )
+        for joints in (trembling, trembling + walk)
+    )
+    jitter = np.abs(np.diff([stood, walked], 3, axis=1)).mean(axis=(1, 3))
+    feet = np.isin(KINECT_V1.kinds, ("Ankle", "Foot"))
+    np.testing.assert_allclose(jitter[1, ~feet], jitter[0, ~feet], rtol=0.05)
+    assert (jitter[1, feet] > 2.0 * jitter[0, feet]).all()

@@ -27,7 +27,7 @@ def smoothed(
     positions: Array, time: Array, smoother: LiveSmoother | None = None
 ) -> Array:
     """The joints (T, J, 3), smoothed frame by frame."""
-    smoother = smoother or LiveSmoother(KINECT_V1.root)
+    smoother = smoother or LiveSmoother(KINECT_V1)
     frames = zip(positions, time.tolist(), strict=True)
     return np.array([smoother.step(*frame) for frame in frames])
 
@@ -94,7 +94,7 @@ def test_start_forgets_all_frames() -> None:
     time, rng = stamps(30.0, 1.0), np.random.default_rng(3)
     path, smoother = (
         REST + rng.normal(scale=0.1, size=(30, *REST.shape)),
-        LiveSmoother(KINECT_V1.root),
+        LiveSmoother(KINECT_V1),
     )
     first = smoothed(path, time, smoother)
     smoother.start()

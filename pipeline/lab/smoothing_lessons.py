@@ -21,7 +21,7 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, Observation
 from kinefilter.pipeline.live.crowd import MEASURED_FOR
-from kinefilter.pipeline.target.smooth import smooth_by_speed
+from kinefilter.pipeline.target.smooth import smooth_by_speed, travel_of
 from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother
 
 from .evaluate import followed
@@ -48,7 +48,9 @@ def example_of(take: Take) -> Example:
     first = take.at(take.time <= take.time[0] + MEASURED_FOR)
     joints = followed(Cleaner().until("level"), take, first)
     sure = np.ones(joints.shape[:2])
-    smooth = smooth_by_speed(take.time, joints, sure, cutoff=CleanConfig().cutoff)
+    travel = travel_of(take.time, joints, take.skeleton)
+    cutoff = CleanConfig().cutoff
+    smooth = smooth_by_speed(take.time, joints, sure, cutoff=cutoff, travel=travel)
     speed = np.linalg.norm(np.gradient(smooth, take.time, axis=0), axis=2)
     return Example(take, joints, smooth, speed)
 
@@ -130,7 +132,7 @@ def main() -> None:
         for example in tests:
             skeleton = example.take.skeleton
             euro = OneEuro(skeleton, min_cutoff=1.0, beta=12.0)
-            smoother = euro if name == "One-Euro" else LiveSmoother(skeleton.root)
+            smoother = euro if name == "One-Euro" else LiveSmoother(skeleton)
             rows.append(measures(smoothed_by(smoother, example), example))
         if rows:
             print(name, np.mean(rows, axis=0).round(2).tolist())

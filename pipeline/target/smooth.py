@@ -12,13 +12,16 @@ import numpy as np
 from scipy.linalg.lapack import dpbsv
 from scipy.ndimage import uniform_filter1d
 
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Indices
 
 _THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
-# For smooth_by_speed, chosen on simulated takes and three of six recorded people.
-_SLOWEST_CUTOFF = 0.7  # Hz, of a joint at rest
-_PER_SPEED = 2.5  # Hz per m/s
+# For smooth_by_speed, chosen as RESULTS says under "Smoothing".
+_SLOWEST_CUTOFF = 1.2  # Hz, of a joint at rest
+_SLOWEST_SHARE = 0.16  # of the frame rate, which that is at most
+_PER_SPEED = 1.5  # Hz per m/s
+_TRAVEL_CUTOFF = 0.5  # Hz, of where the body goes as a whole
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
 _SPEED_TIME = 7 / 30  # s over which speed is averaged
@@ -49,8 +52,24 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
     return smoothed
 
 
+def travel_of(time: Array, joints: Array, skeleton: Skeleton) -> Array:
+    """Return the paths [m] on which the body carries its joints (T, J, 3).
+
+    That is where the hips go, but feet, which stand in the room, are not carried.
+    """
+    hips = joints[:, skeleton.hips].mean(axis=1, keepdims=True)
+    path = smooth(time, hips, np.ones(hips.shape[:2]), cutoff=_TRAVEL_CUTOFF)
+    feet = np.isin(skeleton.kinds, ("Ankle", "Foot"))
+    return np.where(feet[:, None], 0.0, path)
+
+
 def smooth_by_speed(
-    time: Array, values: Array, weights: Array, *, cutoff: float
+    time: Array,
+    values: Array,
+    weights: Array,
+    *,
+    cutoff: float,
+    travel: Array | None = None,
 ) -> Array:
     """Return joint paths [m] (T, J, 3), smoothed more strongly where a joint is slow.
 
@@ -58,20 +77,30 @@ def smooth_by_speed(
     movement. So the cutoff grows with the speed of the smoothed path, as in the 1 euro
     filter (Casiez, Roussel & Vogel 2012, CHI), but without its lag. It is the highest,
     ``cutoff`` [Hz], where that would remove far more than noise, as when hands clap or
-    shake. Other arguments are as in ``smooth``.
+    shake. Speed counts relative to ``travel`` [m], the path on which the body carries
+    each joint (T, J, 3). Other arguments are as in ``smooth``.
     """
     if len(time) <= _ORDER:
         return values.copy()
     grid, step = _grid(time)
     highest = np.full(grid[-1] + 1 - _ORDER, min(cutoff, _NYQUIST / step))
-    smoothed = np.empty_like(values)
+    frames, carried, smoothed = np.arange(grid[-1] + 1), None, np.empty_like(values)
     for j in range(values.shape[1]):
-        smoothed[:, j] = _by_speed(step, highest, grid, values[:, j], weights[:, j])
+        if travel is not None:
+            paths = [np.interp(frames, grid, path) for path in travel[:, j].T]
+            carried = np.diff(paths).T
+        joint = grid, values[:, j], weights[:, j]
+        smoothed[:, j] = _by_speed(step, highest, *joint, carried)
     return smoothed
 
 
 def _by_speed(
-    step: float, highest: Array, grid: Indices, values: Array, weights: Array
+    step: float,
+    highest: Array,
+    grid: Indices,
+    values: Array,
+    weights: Array,
+    carried: Array | None,
 ) -> Array:
     """Return the smoothed path of one joint, shape (T, 3)."""
 
@@ -79,10 +108,13 @@ def _by_speed(
         bands = penalty(_stiffness(rates, step), _THIRD)
         return _solve(bands, grid, values, weights)
 
+    slowest = min(_SLOWEST_CUTOFF, _SLOWEST_SHARE / step)
     rates = np.minimum(_FIRST_CUTOFF, highest)
     for _ in range(_PASSES):
-        moved = _root_mean_square(np.diff(smoothed(rates), axis=0), _SPEED_TIME / step)
-        rates = np.minimum(_SLOWEST_CUTOFF + _PER_SPEED * moved[1:-1] / step, highest)
+        moves = np.diff(smoothed(rates), axis=0)
+        moves = moves if carried is None else moves - carried
+        moved = _root_mean_square(moves, _SPEED_TIME / step)
+        rates = np.minimum(slowest + _PER_SPEED * moved[1:-1] / step, highest)
     quick = smoothed(np.minimum(_QUICK / step, highest))
     noise = np.zeros_like(quick)
     noise[grid] = values - quick[grid]

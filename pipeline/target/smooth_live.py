@@ -2,20 +2,23 @@
 
 import numpy as np
 
+from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import values_at
 
 STEP = 1.0 / 30.0  # s between the places that count
-AT_REST = np.array([0.2760, 0.2462, 0.1716, 0.0958, 0.0344, 0.0064, -0.0039])
-MOVING = np.array([0.4315, 0.1823, 0.0396, -0.0123, -0.0281, -0.0489, -0.0616])
+AT_REST = np.array([0.2808, 0.2437, 0.1651, 0.0951, 0.0393, 0.0014, -0.0110])
+MOVING = np.array([0.4282, 0.1812, 0.0407, -0.0043, -0.0220, -0.0508, -0.0687])
 """Weights of where a joint was 1 to 7 steps before, relative to where it is now, at
 rest and in motion (``pipeline.lab.smoothing_lessons``). The latter keep steady motion.
 """
 # m/s: at rest, in motion, and so fast that nothing is smoothed; in between, weights
-# change with the logarithm of the speed. Chosen on s02, s04, p00, p04 and p08 and on
-# every other sequence of punches and kicks.
-_REST, _MOTION, _FAST = 0.2, 0.6, 3.0
-_WALKING = 0.5  # m/s: a root that walks faster carries other joints along
+# change with the logarithm of the speed, relative to the body as a whole. The first
+# two were chosen as RESULTS says under "Smoothing", the last on every other sequence
+# of punches and kicks.
+_REST, _MOTION, _FAST = 0.15, 1.2, 3.0
+_TRAVEL_CUTOFF = 0.5  # Hz, of the velocity of the body as a whole
+_LEAST_TRAVEL = 1e-3  # m/s
 _JUMP = 15.0  # m/s: what is faster than a hand has jumped, and has no past. A guess.
 _SPEED_CUTOFF = 1.0  # Hz, of the velocity that tells the speed
 _LEAST_STEP = 1e-3  # s
@@ -26,11 +29,12 @@ class LiveSmoother:
 
     Each joint is at a weighted mean of where it is and was. The weights bring it
     nearest to its path as smoothed in whole takes, with small third differences: a
-    Wiener filter of finite length that is also to move smoothly.
+    Wiener filter of finite length that is also to move smoothly. Where joints were is
+    counted from the body as a whole, which carries them along when it walks.
     """
 
-    def __init__(self, root: int) -> None:
-        self._root = root
+    def __init__(self, skeleton: Skeleton) -> None:
+        self._hips, self._legs = skeleton.hips, skeleton.legs
         self.start()
 
     def start(self) -> None:
@@ -43,6 +47,7 @@ class LiveSmoother:
         if self._places is None:
             self._times, self._places = np.array([time]), positions[None].copy()
             self._last, self._velocity = positions, np.zeros_like(positions)
+            self._travel = np.zeros(3)
             return positions
         step = max(time - self._times[-1], _LEAST_STEP)
         turn = 2.0 * np.pi * _SPEED_CUTOFF * step
@@ -54,24 +59,34 @@ class LiveSmoother:
         kept = max(int(np.searchsorted(self._times, before[-1], "right")) - 1, 0)
         self._times = np.append(self._times[kept:], time)
         self._places = np.concatenate([self._places[kept:], positions[None]])
+        turn = 2.0 * np.pi * _TRAVEL_CUTOFF * step
+        level = velocity[self._hips].mean(axis=0) * [1.0, 0.0, 1.0]
+        self._travel += turn / (turn + 1.0) * (level - self._travel)
+        carried = self._carried()
         past = values_at(self._times, self._places, before)
-        weights = _weights(self._velocity, self._velocity[self._root])
+        past += (time - before)[:, None, None] * carried
+        weights = _weights(np.linalg.norm(self._velocity - carried, axis=1))
         change = np.einsum("kjc,jk->jc", past - positions, weights)
         self._last = np.asarray(positions + change)
         return self._last
 
+    def _carried(self) -> Array:
+        """Return the velocity [m/s] with which the body carries its joints (J, 3).
 
-def _weights(velocity: Array, walk: Array) -> Array:
-    """Return the weights of joints (J, 7), given velocities [m/s], also of the root.
+        Legs, which also stand, are carried as far as they move with it.
+        """
+        squared = max(self._travel @ self._travel, _LEAST_TRAVEL**2)
+        shares = np.ones(len(self._velocity))
+        along = self._velocity[self._legs] @ self._travel
+        shares[self._legs] = (along / squared).clip(0.0, 1.0)
+        return np.asarray(shares[:, None] * self._travel)
 
-    What joints share of the velocity of a root that walks does not make them fast.
-    """
-    walk = walk * [1.0, 0.0, 1.0]
-    shared = (velocity @ walk / (walk @ walk + _WALKING**2)).clip(0.0, 1.0)
-    alone = velocity - shared[:, None] * walk
+
+def _weights(speed: Array) -> Array:
+    """Return the weights of joints (J, 7), given their speeds [m/s] (J,)."""
     moving, fast = (
-        np.log(np.maximum(np.linalg.norm(v, axis=1), low) / low) / np.log(high / low)
-        for v, low, high in ((velocity, _REST, _MOTION), (alone, _MOTION, _FAST))
+        np.log(np.maximum(speed, low) / low) / np.log(high / low)
+        for low, high in ((_REST, _MOTION), (_MOTION, _FAST))
     )
     share = moving.clip(0.0, 1.0)[:, None]
     slow = 1.0 - fast.clip(0.0, 1.0)[:, None]

@@ -19,7 +19,7 @@ from kinefilter.retarget import BoneLengths
 from . import feet, floor, planting
 from .foot_pitch import PitchTracker, flat_angle, foot_pitches
 from .possible_postures import even_turns, possible_joints, possible_knees
-from .smooth import smooth, smooth_by_speed
+from .smooth import smooth, smooth_by_speed, travel_of
 from .smooth_live import LiveSmoother
 from .stance_odds import legs_of
 
@@ -63,7 +63,7 @@ class Smooth(Stage):
 
     def start(self, body: Body) -> None:
         """Reset the state for a new motion."""
-        self._smoother = LiveSmoother(body.skeleton.root)
+        self._smoother = LiveSmoother(body.skeleton)
 
     def step(self, draft: Draft) -> None:
         """Smooth the next frame."""
@@ -75,7 +75,10 @@ class Smooth(Stage):
         if self._cutoff > 0.0:
             weights = np.maximum(draft.weights, _LEAST_WEIGHT)
             paths = draft.time, draft.positions, weights
-            draft.positions = smooth_by_speed(*paths, cutoff=self._cutoff)
+            travel = travel_of(draft.time, draft.positions, draft.skeleton)
+            draft.positions = smooth_by_speed(
+                *paths, cutoff=self._cutoff, travel=travel
+            )
 
 
 class Feet(Stage):
