@@ -230,7 +230,7 @@ def test_a_joint_that_rests_is_smoothed_with_the_slowest_cutoff() -> None:
 def test_a_joint_that_is_fast_is_smoothed_with_the_highest_cutoff() -> None:
     time = stamps(200)
     path = 0.005 * noise(200, 1)
-    path[:, 0, 0] += 4.0 * time
+    path[:, 0, 0] += 3.0 * time
     smoothed = smooth_by_speed(time, path, ones(path), cutoff=6.0)
     expected = smooth(time, path, ones(path), cutoff=6.0)
     np.testing.assert_allclose(smoothed, expected, atol=1e-9)

@@ -20,7 +20,7 @@ _ORDER = 3
 # For smooth_by_speed, chosen as RESULTS says under "Smoothing".
 _SLOWEST_CUTOFF = 1.2  # Hz, of a joint at rest
 _SLOWEST_SHARE = 0.16  # of the frame rate, which that is at most
-_PER_SPEED = 1.5  # Hz per m/s
+_PER_SPEED = 2.0  # Hz per m/s
 _TRAVEL_CUTOFF = 0.5  # Hz, of where the body goes as a whole
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
