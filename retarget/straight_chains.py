@@ -25,8 +25,9 @@ from kinefilter.characters.rotations import (
 )
 
 # ``_ODD`` and the weights of hands were chosen on 24 simulated takes, half of them with
-# hands that bend and turn; that of heads as RESULTS says. Ranges of neck and forearm: Norkin & White 2016. Those of palms: people
-# use 54 to 60 degrees of their wrists (Ryu et al. 1991, J. Hand Surg. 16A).
+# hands that bend and turn, the weight of heads as RESULTS says. Ranges of neck and
+# forearm: Norkin & White 2016. Those of palms: people use 54 to 60 degrees of their
+# wrists (Ryu et al. 1991, J. Hand Surg. 16A).
 _ODD = 1.2  # distance from a straight chain, relative to length, that halves its weight
 _NECK_SHARE = 0.4  # of the bend and turn of the last bone
 _AHEAD = 0.1  # weight of a face that looks ahead; a seen one has 1. A guess
@@ -84,8 +85,8 @@ class _StraightChains:
         return np.asarray(np.cos(less) * self.along + np.sin(less) * away)
 
 
-def softened(angle: Array, free: float, most: float) -> Array:
-    """Return angles [rad] whose size stays to ``free`` and never reaches ``most``."""
+def softened(angle: Array, free: Array | float, most: Array | float) -> Array:
+    """Return angles or lengths that stay to ``free`` and never reach ``most``."""
     room, size = most - free, np.abs(angle)
     less = free + room * np.tanh((size - free) / room)
     return np.where(size > free, np.sign(angle) * less, angle)
@@ -130,8 +131,8 @@ class Neck(_StraightChains):
         """Return positions and rotations with neck and head bent, and turned.
 
         ``head`` (..., 1, 3) is the unit direction from the chest to the head in the
-        frame of the chest, ``turn`` (..., 1) the angle [rad] to the left between face and chest. Without
-        it, neck and head keep their twist.
+        frame of the chest, ``turn`` (..., 1) the angle [rad] to the left between face
+        and chest. Without it, neck and head keep their twist.
         """
         positions, rotations = positions.copy(), rotations.copy()
         chest, before = rotations[..., self.starts, :], self.starts

@@ -115,7 +115,7 @@ def read_ui_prmd(folder: Path, every: int) -> list[PairedTake]:
 
 
 def read_cmu(folder: Path, every: int) -> tuple[Array, NDArray[np.str_]]:
-    """Return the postures of the BVH files, 30 a second thinned, and each one's file."""
+    """Return the postures of BVH files, 30 a second thinned, and each one's file."""
     postures, clips = [], []
     for file in sorted(folder.glob("*.bvh.gz")):
         found = mocap_postures(read_mocap(file), KINECT_V1)

@@ -34,6 +34,7 @@ from kinefilter.characters.rotations import between, rotate, unit
 from kinefilter.characters.skeleton import SIDES
 from kinefilter.retarget import HeadingFrame
 from kinefilter.retarget.standardize import chain_matrix
+from kinefilter.retarget.straight_chains import softened
 
 from .interface import CORRECTED_CONFIDENCE, Correction, Frames, Observation
 from .learned import LearnedCorrector
@@ -53,6 +54,9 @@ _BONE_SHARE = 0.3  # of a person's unusual proportions that is due to the sensor
 _STRANGE_LEG, _FAMILIAR_LEG = 0.85, 1.0
 _STRANGE, _FAMILIAR = 0.7, 0.85
 _WRIST_SHARE = 0.8  # of the wrists' moving offset, for movements not in the training
+# Longest moving offsets [m] that are applied in full, in movements unlike the training
+# and in ones like it; longer ones never reach twice that. RESULTS says how chosen.
+_ROOM = (0.02, 0.12)
 # Similarity of the whole posture at which none, and all, of the offsets is applied.
 _FAR, _NEAR = 0.4, 0.8
 # Seconds over which similarity is averaged: that of a part, that of the posture, and
@@ -69,7 +73,6 @@ _FRONTAL, _OFF_FRONTAL = 0.2, 0.6
 # s07 and s08, and on p00 to p08.
 _TIED = 0.02
 _VIEW_TIME = 1.0  # s over which the view angle is averaged
-
 _CHUNK = 256  # frames at a time: features of more do not fit into caches. Timed.
 
 
@@ -169,8 +172,7 @@ class FourierRidge(LearnedCorrector):
         """Select a person from the training data by name; others are strangers."""
         known = self.people_.tolist()
         self._person = known.index(person) if person in known else None
-        # Weights and constants of left and right limbs, or of both where they are the
-        # same, on the near and the far side.
+        # Weights and constants of left and right limbs, or of both; near and far side.
         self._offsets: list[tuple[Singles, Singles]] = []
         for shared, far, own in (
             (self.weights_, self.far_weights_, self.own_weights_),
@@ -299,7 +301,8 @@ class FourierRidge(LearnedCorrector):
         familiar, frontal = found.share[..., :1], found.share[..., 1:]
         constancy = familiar ** (1.0 / _POWER) * frontal
         offsets = constancy[..., None] * found.constant
-        offsets = offsets + (share * (1.0 - off_frontal))[..., None] * found.moving
+        moving = _limited(found.moving, _ROOM[0] + familiar * (_ROOM[1] - _ROOM[0]))
+        offsets = offsets + (share * (1.0 - off_frontal))[..., None] * moving
         offsets = offsets + (far_side * off_frontal)[..., None] * found.far
         missing = np.isnan(seen.positions[..., 0])
         shift = offsets.take(self._posture_features.carrier, -2)
@@ -349,8 +352,7 @@ class _Inputs(NamedTuple):
     random: list[RandomFeatures]  # of each part
     mirror: tuple[Indices, Singles]  # order and signs of those of the mirror image
     centers: list[tuple[Indices, Singles, Singles]]
-    """Columns, training data and their squared lengths: of the whole posture, frontal
-    and side-on, and of each part."""
+    """Columns, data, their squared lengths: of postures frontal, side-on, of parts."""
 
 
 class _Offsets(NamedTuple):
@@ -381,6 +383,12 @@ def _beside_share(similar: Array) -> Array:
     """Return the weight (..., 1) of the two-sensor data, given both similarities."""
     frontal, beside = similar[..., :1], similar[..., 1:]
     return _ramp(beside, _FAR, _NEAR) * _ramp(beside - frontal, -_TIED, _TIED)
+
+
+def _limited(vectors: Array, free: Array) -> Array:
+    """Return vectors (..., M, 3), those longer than ``free`` (..., 1) shortened."""
+    size = np.maximum(np.linalg.norm(vectors, axis=-1), 1e-9)
+    return np.asarray((softened(size, free, 2.0 * free) / size)[..., None] * vectors)
 
 
 def _turned(positions: Array, turn: Array, center: Array) -> Array:

@@ -7,8 +7,8 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import values_at
 
 STEP = 1.0 / 30.0  # s between the places that count
-AT_REST = np.array([0.2808, 0.2437, 0.1651, 0.0951, 0.0393, 0.0014, -0.0110])
-MOVING = np.array([0.4282, 0.1812, 0.0407, -0.0043, -0.0220, -0.0508, -0.0687])
+AT_REST = np.array([0.2879, 0.2480, 0.1657, 0.0883, 0.0334, -0.0024, -0.0128])
+MOVING = np.array([0.4284, 0.1892, 0.0435, -0.0108, -0.0303, -0.0520, -0.0615])
 """Weights of where a joint was 1 to 7 steps before, relative to where it is now, at
 rest and in motion (``pipeline.lab.smoothing_lessons``). The latter keep steady motion.
 """
@@ -75,7 +75,7 @@ class LiveSmoother:
 
         Legs, which also stand, are carried as far as they move with it.
         """
-        squared = max(self._travel @ self._travel, _LEAST_TRAVEL**2)
+        squared = max(float(self._travel @ self._travel), _LEAST_TRAVEL**2)
         shares = np.ones(len(self._velocity))
         along = self._velocity[self._legs] @ self._travel
         shares[self._legs] = (along / squared).clip(0.0, 1.0)
