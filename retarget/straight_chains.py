@@ -29,7 +29,7 @@ from kinefilter.characters.rotations import (
 # forearm: Norkin & White 2016. Those of palms: people use 54 to 60 degrees of their
 # wrists (Ryu et al. 1991, J. Hand Surg. 16A).
 _ODD = 1.2  # distance from a straight chain, relative to length, that halves its weight
-_NECK_SHARE = 0.4  # of the bend and turn of the last bone
+_NECK_SHARE = 0.4  # of the head's bend and turn
 _AHEAD = 0.1  # weight of a face that looks ahead; a seen one has 1. A guess
 _TURN = np.radians((60.0, 80.0))  # of the face
 _UNTWISTED = 0.7  # weight of the forearm's rotation; a reliable thumb has 1
@@ -103,9 +103,6 @@ class Neck(_StraightChains):
         chain = chain[chain.index(skeleton.girdle) + 1 :]
         super().__init__(body, [skeleton.girdle], [[joint] for joint in chain])
         self._body = body
-        self._shares = np.array([*[_NECK_SHARE] * (len(chain) - 1), 1.0])
-        lengths = body.lengths[chain]
-        self._bends = self._shares * lengths.sum() / (self._shares @ lengths)
 
     def faces(self, face: Array, rotations: Array, head: Array) -> Array:
         """Return where a face looks around the head's axis, shape (..., 1, 2).
@@ -130,16 +127,15 @@ class Neck(_StraightChains):
     ) -> tuple[Array, Array]:
         """Return positions and rotations with neck and head bent, and turned.
 
-        ``head`` (..., 1, 3) is the unit direction from the chest to the head in the
-        frame of the chest, ``turn`` (..., 1) the angle [rad] to the left between face
-        and chest. Without it, neck and head keep their twist.
+        ``head`` (..., 1, 3) is the head's unit direction in the frame of the chest,
+        ``turn`` (..., 1) the angle [rad] to the left between face and chest. Without
+        it, neck and head keep their twist.
         """
         positions, rotations = positions.copy(), rotations.copy()
         chest, before = rotations[..., self.starts, :], self.starts
-        for joints, share, bent in zip(
-            self.joints, self._shares, self._bends, strict=True
-        ):
-            local = unit(bent * head + (1.0 - bent) * self.along)
+        for k, joints in enumerate(self.joints, start=1):
+            share = 1.0 if k == len(self.joints) else _NECK_SHARE
+            local = unit(share * head + (1.0 - share) * self.along)
             rest, turns = self._body.rest_offsets[joints], rotations[..., joints, :]
             if turn is not None:
                 turns = multiply(chest, about_y(share * turn))

@@ -146,13 +146,14 @@ def test_what_is_learned_from_some_people_holds_for_others(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(foot_lessons, "workers", partial(workers, 1))
-    walks = ["07_01", "08_01", "12_01", "16_15", "16_31", "32_01", "35_01"]
+    walks = ["02_01", "07_01", "08_01", "12_01", "16_15", "16_31", "29_01", "32_01"]
     lessons = read_lessons([CMU / f"{name}.bvh.gz" for name in walks])
-    assert [one.person for one in lessons] == ["07", "08", "12", "16", "32", "35"]
-    predict = learn(lessons[1:])
-    flat, shown, predicted = errors(predict, lessons[0])
+    assert [one.person for one in lessons] == ["02", "07", "08", "12", "16", "29", "32"]
+    other = lessons.pop(1)
+    predict = learn(lessons)
+    flat, shown, predicted = errors(predict, other)
     assert predicted < 0.75 * min(flat, shown)
     write_arrays(tmp_path / "weights.npz", predict.arrays())
     again = FootPitch.load(tmp_path / "weights.npz")
-    assert errors(again, lessons[0])[2] == pytest.approx(predicted, abs=0.05)
-    assert errors(foot_pitch.foot_pitch(), lessons[0])[2] < predicted
+    assert errors(again, other)[2] == pytest.approx(predicted, abs=0.05)
+    assert errors(foot_pitch.foot_pitch(), other)[2] < predicted

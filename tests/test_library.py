@@ -262,10 +262,10 @@ def test_no_files_and_files_that_do_not_fit_are_refused(
 def test_a_database_from_motion_capture_has_standard_segments(
     skeleton: Skeleton,
 ) -> None:
-    files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "35_24", "02_01")]
+    files = [CMU / f"{name}.bvh.gz" for name in ("35_26", "07_01", "02_01")]
     base = database_from_mocap(files, skeleton, count=150)
     assert 147 <= len(base) <= 153
-    assert set(base.labels.tolist()) == {"35_26", "35_24", "02_01"}
+    assert set(base.labels.tolist()) == {"35_26", "07_01", "02_01"}
     # Left and right share their mean length, and Kinect's spine lies between joints
     # of the file. A hand ends elsewhere in each.
     ends = np.array([j for j in skeleton.segments if "Hand" not in skeleton.joints[j]])

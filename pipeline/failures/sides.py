@@ -32,7 +32,7 @@ _FAR = 0.5  # m; joints farther apart cost no more
 _LIMBS = ("Shoulder", "Elbow", "Wrist"), ("Hip", "Knee", "Ankle")
 # Log odds, for each of ``facing_inputs``, that bodies face the way their sides say,
 # learned by ``lab.facing_lessons`` from p00 to p08, s02 to s04 and CMU's 02 to 32.
-FACING_WEIGHTS = np.array([-10.5, 40.1, 12.6, -34.2, 14.0, 33.3, -5.7, 28.3])
+FACING_WEIGHTS = np.array([-10.7, 44.2, 13.5, -32.1, 14.8, 29.6, -7.5, 22.6])
 _DOUBT = 3.0  # log odds of a body that quite surely faces that way
 _FACING = 0.1  # m of mean distance: cost of a body that bends the other way
 _WALK = 0.85  # cost of walking backward, relative to that

@@ -17,10 +17,9 @@ from kinefilter.characters.arrays import Array, Indices
 
 _THIRD = (-1.0, 3.0, -3.0, 1.0)
 _ORDER = 3
-# For smooth_by_speed, chosen as RESULTS says under "Smoothing".
-_SLOWEST_CUTOFF = 1.2  # Hz, of a joint at rest
-_SLOWEST_SHARE = 0.16  # of the frame rate, which that is at most
-_PER_SPEED = 2.0  # Hz per m/s
+# For smooth_by_speed: Hz of a joint at rest, and Hz per m/s, of joints in the room and
+# of those that the body carries. Chosen as RESULTS says under "Smoothing".
+_IN_ROOM, _CARRIED = (0.7, 2.5), (1.2, 2.5)
 _TRAVEL_CUTOFF = 0.5  # Hz, of where the body goes as a whole
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
@@ -55,12 +54,14 @@ def smooth(time: Array, values: Array, weights: Array, *, cutoff: float) -> Arra
 def travel_of(time: Array, joints: Array, skeleton: Skeleton) -> Array:
     """Return the paths [m] on which the body carries its joints (T, J, 3).
 
-    That is where the hips go, but feet, which stand in the room, are not carried.
+    That is where the hips go. They themselves, which rise and fall with each step, and
+    feet, which stand in the room, are not carried.
     """
     hips = joints[:, skeleton.hips].mean(axis=1, keepdims=True)
     path = smooth(time, hips, np.ones(hips.shape[:2]), cutoff=_TRAVEL_CUTOFF)
-    feet = np.isin(skeleton.kinds, ("Ankle", "Foot"))
-    return np.where(feet[:, None], 0.0, path)
+    carried = ~np.isin(skeleton.kinds, ("Hip", "Ankle", "Foot"))
+    carried[skeleton.root] = False
+    return np.where(carried[:, None], path, 0.0)
 
 
 def smooth_by_speed(
@@ -108,13 +109,13 @@ def _by_speed(
         bands = penalty(_stiffness(rates, step), _THIRD)
         return _solve(bands, grid, values, weights)
 
-    slowest = min(_SLOWEST_CUTOFF, _SLOWEST_SHARE / step)
+    slowest, rise = _IN_ROOM if carried is None or not carried.any() else _CARRIED
     rates = np.minimum(_FIRST_CUTOFF, highest)
     for _ in range(_PASSES):
         moves = np.diff(smoothed(rates), axis=0)
         moves = moves if carried is None else moves - carried
         moved = _root_mean_square(moves, _SPEED_TIME / step)
-        rates = np.minimum(slowest + _PER_SPEED * moved[1:-1] / step, highest)
+        rates = np.minimum(slowest + rise * moved[1:-1] / step, highest)
     quick = smoothed(np.minimum(_QUICK / step, highest))
     noise = np.zeros_like(quick)
     noise[grid] = values - quick[grid]
