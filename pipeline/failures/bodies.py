@@ -182,16 +182,17 @@ def darting_joints(take: Take) -> Flags:
     time, darting = take.time, np.zeros(take.state.shape, bool)
     ends = np.flatnonzero(np.isin(take.skeleton.kinds, _ENDS))
     path = (take.positions - middles(take.positions)[:, None])[:, ends]
-    step, farthest = max(nominal_step(time), _LEAST_STEP), np.zeros(path.shape[:2])
-    away = np.zeros(farthest.shape, bool)
+    step, between = max(nominal_step(time), _LEAST_STEP), list[Array]()
+    farthest, away = np.zeros(path.shape[:2]), np.zeros(path.shape[:2], bool)
     for lag in range(1, min(round(_DART / step), len(take) - 1) + 1):
         moved = np.linalg.norm(path[lag:] - path[:-lag], axis=2)
         farthest = farthest[: len(moved)]
         seconds = np.maximum(time[lag:] - time[:-lag], 0.5 * lag * step)[:, None]
         found = (moved < _BACK) & (farthest > _AWAY)
         found &= 8.0 * farthest > _QUICKEST * seconds**2
-        for k in range(1, lag):
-            away[k : len(take) - lag + k] |= found
+        for k, gone in enumerate(between, start=1):
+            away[k : len(take) - lag + k] |= found & (gone[: len(found)] > _BACK)
+        between.append(moved)
         farthest = np.fmax(farthest, moved)
     darting[:, ends] = away
     return darting
