@@ -38,7 +38,7 @@ def test_a_limb_moved_by_pins_is_no_tracker_failure(
         off = (0.0, 0.15, 0.15)
         pins = [pinned(before, joint, frame, off) for frame in (90, 100, 110)]
         found = CLEANER.clean(TAKE, edits=pins, before=unedited)
-        assert found.damage == before.damage, joint
+        assert set(found.damage) <= set(before.damage), joint
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.03, 0.05, -0.04)])

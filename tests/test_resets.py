@@ -48,7 +48,7 @@ def test_a_shank_that_the_tracker_turned_upwards_comes_down_again(failed: Take) 
 
 @recorded
 def test_a_clip_shows_the_target_where_a_limb_is_stuck() -> None:
-    failed = read_take(next(TAKES.rglob("m03_s06_e02_inc_failure.csv*")))
+    failed = read_take(next(TAKES.rglob("m04_s02_e10_inc_failure.csv*")))
     cleaner = Cleaner().without("failures")  # which removes such limbs
     target, found = cleaner.without("physics").whole(failed), cleaner.clean(failed)
     assert found.trace is not None

@@ -182,7 +182,7 @@ def darting_joints(take: Take) -> Flags:
     time, darting = take.time, np.zeros(take.state.shape, bool)
     ends = np.flatnonzero(np.isin(take.skeleton.kinds, _ENDS))
     path = (take.positions - middles(take.positions)[:, None])[:, ends]
-    step, between = max(nominal_step(time), _LEAST_STEP), list[Array]()
+    step, between = np.fmax(nominal_step(time), _LEAST_STEP), list[Array]()
     farthest, away = np.zeros(path.shape[:2]), np.zeros(path.shape[:2], bool)
     for lag in range(1, min(round(_DART / step), len(take) - 1) + 1):
         moved = np.linalg.norm(path[lag:] - path[:-lag], axis=2)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dpbsv
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from kinefilter.characters import Skeleton
 from kinefilter.characters.arrays import Array, Indices
@@ -24,6 +24,10 @@ _TRAVEL_CUTOFF = 0.5  # Hz, of where the body goes as a whole
 _FIRST_CUTOFF = 3.0  # Hz, to estimate the speed
 _PASSES = 2  # estimates of the speed
 _SPEED_TIME = 7 / 30  # s over which speed is averaged
+# Of outliers, chosen as RESULTS says under "Smoothing".
+_BRIEF = 1 / 6  # s of the running median, twice as long as what it ignores
+_USUAL_TIME = 1.0  # s around a frame that show how far off a joint usually is
+_USUAL, _NEAR = 2.0, 0.05  # times the usual distance, and m, that halve a weight
 # To find small quick movement, which by its speed alone would be taken for trembling;
 # chosen on simulated takes.
 _QUICK = 0.2  # of the frame rate: anything faster is taken for noise
@@ -62,6 +66,23 @@ def travel_of(time: Array, joints: Array, skeleton: Skeleton) -> Array:
     carried = ~np.isin(skeleton.kinds, ("Hip", "Ankle", "Foot"))
     carried[skeleton.root] = False
     return np.where(carried[:, None], path, 0.0)
+
+
+def weights_of_outliers(time: Array, values: Array) -> Array:
+    """Return weights (T, J) of joint paths [m] (T, J, 3), low where a joint darts off.
+
+    Distances from the running median, which ignores what is brief, count relative to
+    how large they usually are around then, which has weight 1: a Hampel filter (Pearson
+    2002, IEEE Trans. Control Syst. Technol. 10) with the weights of a Cauchy
+    distribution.
+    """
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    brief, around = (2 * round(0.5 * s / step) + 1 for s in (_BRIEF, _USUAL_TIME))
+    medians = median_filter(values, (brief, 1, 1), mode="nearest")
+    off = np.linalg.norm(values - medians, axis=2)
+    usual = median_filter(off, (around, 1), mode="nearest")
+    squared = np.maximum(_USUAL * usual, _NEAR) ** 2
+    return np.asarray((squared + usual**2) / (squared + np.maximum(off, usual) ** 2))
 
 
 def smooth_by_speed(

@@ -19,7 +19,7 @@ from kinefilter.retarget import BoneLengths
 from . import feet, floor, planting
 from .foot_pitch import PitchTracker, flat_angle, foot_pitches
 from .possible_postures import even_turns, possible_joints, possible_knees
-from .smooth import smooth, smooth_by_speed, travel_of
+from .smooth import smooth, smooth_by_speed, travel_of, weights_of_outliers
 from .smooth_live import LiveSmoother
 from .stance_odds import legs_of
 
@@ -74,6 +74,7 @@ class Smooth(Stage):
         """Smooth a take."""
         if self._cutoff > 0.0:
             weights = np.maximum(draft.weights, _LEAST_WEIGHT)
+            weights = weights * weights_of_outliers(draft.time, draft.positions)
             paths = draft.time, draft.positions, weights
             travel = travel_of(draft.time, draft.positions, draft.skeleton)
             draft.positions = smooth_by_speed(
