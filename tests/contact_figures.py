@@ -27,7 +27,11 @@ from kinefilter.pipeline.lab.simulation import recorded_pairs
 from kinefilter.pipeline.lab.stance_lessons import planted
 from kinefilter.pipeline.pairs import PairedTake
 from kinefilter.pipeline.target.feet import planted_feet
-from kinefilter.pipeline.target.smooth import smooth_by_speed, travel_of
+from kinefilter.pipeline.target.smooth import (
+    smooth_by_speed,
+    travel_of,
+    weights_of_outliers,
+)
 
 _SLOW, _LOW = 0.4, 0.08  # m/s, m
 _EVERY = 9  # clips of pairs
@@ -61,8 +65,9 @@ def smoothed(take: Take) -> Array:
         time, paths = take.time[seen], take.positions[seen]
         if len(time) > 1:
             travel = travel_of(time, paths, take.skeleton)[:, [j]]
-            path, even = paths[:, [j]], np.ones((len(time), 1))
-            path = smooth_by_speed(time, path, even, cutoff=cutoff, travel=travel)
+            path = paths[:, [j]]
+            weights = weights_of_outliers(time, path)
+            path = smooth_by_speed(time, path, weights, cutoff=cutoff, travel=travel)
             joints[seen, j] = path[:, 0]
     return joints
 
