@@ -28,7 +28,6 @@ from .failures import (
     repaired,
     stray_joints,
 )
-from .failures.bodies import darting_joints
 from .failures.limb_failures import guessed_knees
 from .failures.sides import LiveSides, with_toes_ahead
 from .methods import SCORERS, load
@@ -155,7 +154,7 @@ class Failures(Stage):
         take = draft.take()
         draft.failures = find_failures(take, draft.exchanged, draft.distrusted)
         take = repaired(take, draft.failures)
-        take = take.without(guessed_knees(take) | darting_joints(take))
+        take = take.without(guessed_knees(take))
         if draft.distrusted is not None:
             take = take.without(draft.distrusted)
         draft.measured, draft.state, draft.face = take.positions, take.state, take.face

@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from real_data import CMU, captured
 
 from kinefilter.characters import Take
 from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
-from kinefilter.pipeline.failures.bodies import darting_joints
 from kinefilter.pipeline.failures.gross import FailureKind, find_failures
 from kinefilter.pipeline.formats import read_take
-from kinefilter.pipeline.lab.simulation import recorded_pairs
 
 Array = NDArray[np.float64]
 SAMPLE = Path(__file__).parent.parent / "scenes/takes/wave_punch_bend.csv"
@@ -91,45 +88,3 @@ def test_a_punch_at_an_end_stays(take: Take) -> None:
         for f in find_failures(replace(take, positions=positions))
         if f.kind is FailureKind.OFF_AT_END
     ]
-
-
-def darting(take: Take, seconds: float, away: float) -> Take:
-    """Return a take whose left hand goes away and comes back on a parabola.
-
-    That is the path that takes the least acceleration, 8 d / T^2.
-    """
-    share = ((take.time - take.time[40]) / seconds).clip(0.0, 1.0)
-    positions = take.positions.copy()
-    hand = [take.skeleton.index(joint) for joint in LEFT_ARM[1:]]
-    positions[:, hand, 0] += away * 4.0 * (share * (1.0 - share))[:, None]
-    return replace(take, positions=positions)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "away", "lost"),
-    [(0.1, 0.4, True), (0.2, 0.6, True), (0.2, 0.45, False), (0.3, 1.0, False)],
-)
-def test_hands_that_dart_away_and_back_are_filled_in_and_real_ones_stay(
-    take: Take, seconds: float, away: float, lost: bool
-) -> None:
-    frames, time = np.full(len(take), 60), np.arange(len(take)) / 30.0
-    still = replace(take.at(frames), time=time)
-    found = darting_joints(darting(still, seconds, away))
-    hand = [take.skeleton.index(joint) for joint in LEFT_ARM[1:]]
-    last = 40 + round(seconds * 30)
-    assert found[41:last, hand].all() == found.any() == lost
-    found[41:last, hand] = False
-    assert not found.any()
-    if lost:
-        paths = [
-            Cleaner().until("bones").whole(one).positions
-            for one in (darting(still, seconds, away), still)
-        ]
-        assert np.linalg.norm(np.subtract(*paths), axis=2).max() < 0.01
-
-
-@captured
-@pytest.mark.parametrize("name", ["02_01", "05_02", "16_15", "49_06"])
-def test_no_joint_of_real_mocap_darts(name: str) -> None:
-    (pair,) = recorded_pairs(CMU / f"{name}.bvh.gz", 1)
-    assert not darting_joints(replace(pair.take, positions=pair.truth)).any()

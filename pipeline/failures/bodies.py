@@ -33,13 +33,6 @@ _AT_END = 6  # frames, of which the first three may be wrong
 # 7 and 8, on s07 and s08, of whose feet 7 takes some that mocap agrees with.
 _JUMP = 8.0
 _REACH = 2.0  # m from the middle of the body, beyond which it has no joint. A guess.
-# Hands and feet dart that go at least so far [m] away and return to within _BACK [m],
-# if they have to accelerate by more than _QUICKEST [m/s^2] all the time. Fists of
-# boxers do for a moment. Chosen as RESULTS says under "Hands and feet that dart".
-_ENDS = ("Wrist", "Hand", "HandTip", "Thumb", "Ankle", "Foot")
-_AWAY, _BACK, _QUICKEST = 0.3, 0.12, 100.0
-_DART = 0.3  # s: with such an acceleration a limb is a meter away in between
-_LEAST_STEP = 1.0 / 200.0  # s between frames of any sensor that shows joints. A guess.
 # Chosen on eight takes of pairs (p20 to p26), five of which sink; none of some 250
 # others does, nor any of 1,144 clips of people who exercise.
 _SUNK = 0.1  # m below the lower ankle's usual height: no hips are there
@@ -171,31 +164,6 @@ def jumps_at_ends(take: Take) -> Flags:
                 jump = np.logical_or.accumulate(jump[::-1])[::-1]
                 wrong[some[: len(jump)]] |= jump
     return wrong
-
-
-def darting_joints(take: Take) -> Flags:
-    """Return True for hands and feet that dart away and come back, (T, J).
-
-    Whatever is a distance d away, and back after a time T, accelerates by 8 d / T^2 or
-    more in between. No limb keeps that up; a sensor that loses limbs shows it.
-    """
-    time, darting = take.time, np.zeros(take.state.shape, bool)
-    ends = np.flatnonzero(np.isin(take.skeleton.kinds, _ENDS))
-    path = (take.positions - middles(take.positions)[:, None])[:, ends]
-    step, between = np.fmax(nominal_step(time), _LEAST_STEP), list[Array]()
-    farthest, away = np.zeros(path.shape[:2]), np.zeros(path.shape[:2], bool)
-    for lag in range(1, min(round(_DART / step), len(take) - 1) + 1):
-        moved = np.linalg.norm(path[lag:] - path[:-lag], axis=2)
-        farthest = farthest[: len(moved)]
-        seconds = np.maximum(time[lag:] - time[:-lag], 0.5 * lag * step)[:, None]
-        found = (moved < _BACK) & (farthest > _AWAY)
-        found &= 8.0 * farthest > _QUICKEST * seconds**2
-        for k, gone in enumerate(between, start=1):
-            away[k : len(take) - lag + k] |= found & (gone[: len(found)] > _BACK)
-        between.append(moved)
-        farthest = np.fmax(farthest, moved)
-    darting[:, ends] = away
-    return darting
 
 
 def sunken_frames(take: Take) -> Flags:
