@@ -11,6 +11,7 @@ from real_data import CMU, PAIRS, captured, paired
 
 from kinefilter.characters import KINECT_V1, KINECT_V2
 from kinefilter.pipeline.formats.npz import write_arrays
+from kinefilter.pipeline.lab import stance_lessons
 from kinefilter.pipeline.lab.stance_lessons import Lesson, learn, lessons_in, planted
 from kinefilter.pipeline.networks import network_arrays, read_networks
 from kinefilter.pipeline.target.stance_odds import (
@@ -71,7 +72,10 @@ def lessons(seed: int = 0) -> list[Lesson]:
     return made
 
 
-def test_what_is_learned_survives_a_file(tmp_path: Path) -> None:
+def test_what_is_learned_survives_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stance_lessons, "_DRAWN", 15_000)  # so simple is this
     network = learn(lessons())
     test = lessons(seed=1)[0]
     odds = network(test.inputs)[..., 0]
@@ -95,4 +99,5 @@ def test_feet_of_walkers_before_a_virtual_kinect_are_told(
 
 @paired
 def test_feet_of_recorded_people_are_told() -> None:
-    assert np.mean([wrong(lesson) for lesson in lessons_in(PAIRS / "s08.npz")]) < 2.0
+    some = lessons_in(PAIRS / "s08.npz", every=24)
+    assert np.mean([wrong(lesson) for lesson in some]) < 2.0

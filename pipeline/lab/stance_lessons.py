@@ -73,9 +73,12 @@ def planted(
     return np.any(rests, axis=1), np.all(np.isfinite(speed), axis=1)
 
 
-def lessons_in(file: Path) -> list[Lesson]:
-    """Return what people of a pairs file do, or of mocap before a virtual Kinect."""
-    return [_lesson(pair) for pair in recorded_pairs(file, _EVERY)]
+def lessons_in(file: Path, every: int = _EVERY) -> list[Lesson]:
+    """Return what people of a pairs file do, or of mocap before a virtual Kinect.
+
+    Only ``every`` so many pairs of a file are taken.
+    """
+    return [_lesson(pair) for pair in recorded_pairs(file, every)]
 
 
 def _simulated(k: int) -> list[Lesson]:
