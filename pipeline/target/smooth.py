@@ -27,6 +27,7 @@ _SPEED_TIME = 7 / 30  # s over which speed is averaged
 # Of outliers, chosen as RESULTS says under "Smoothing".
 _BRIEF = 1 / 6  # s of the running median, twice as long as what it ignores
 _USUAL_TIME = 1.0  # s around a frame that show how far off a joint usually is
+_MOST_FRAMES = 121  # of a running median: a second at the rate of fast mocap
 _USUAL, _NEAR = 2.0, 0.05  # times the usual distance, and m, that halve a weight
 # To find small quick movement, which by its speed alone would be taken for trembling;
 # chosen on simulated takes.
@@ -77,7 +78,10 @@ def weights_of_outliers(time: Array, values: Array) -> Array:
     distribution.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    brief, around = (2 * round(0.5 * s / step) + 1 for s in (_BRIEF, _USUAL_TIME))
+    brief, around = (
+        min(2 * round(0.5 * seconds / step) + 1, _MOST_FRAMES)
+        for seconds in (_BRIEF, _USUAL_TIME)
+    )
     medians = median_filter(values, (brief, 1, 1), mode="nearest")
     off = np.linalg.norm(values - medians, axis=2)
     usual = median_filter(off, (around, 1), mode="nearest")
