@@ -10,12 +10,7 @@ from known_motions import stamps
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, standard_body
-from kinefilter.pipeline.target.smooth import (
-    smooth,
-    smooth_by_speed,
-    travel_of,
-    weights_of_outliers,
-)
+from kinefilter.pipeline.target.smooth import smooth, smooth_by_speed, travel_of
 from kinefilter.scenes.library import perform
 
 Array = NDArray[np.float64]
@@ -393,32 +388,3 @@ def test_a_body_that_walks_is_smoothed_as_if_it_stood_but_for_hips_and_feet() ->
     moved = np.isin(KINECT_V1.kinds, ("HipCenter", "Hip", "Ankle", "Foot"))
     np.testing.assert_allclose(jitter[1, ~moved], jitter[0, ~moved], rtol=0.05)
     assert (jitter[1, moved] > 2.0 * jitter[0, moved]).all()
-
-
-@pytest.mark.parametrize("frames", [1, 2])
-def test_a_joint_that_darts_off_counts_less_the_farther_it_is(frames: int) -> None:
-    time, still = stamps(120), 0.005 * noise(120)
-    weights, paths = [], []
-    for away in (0.0, 0.1, 0.3):
-        values = still.copy()
-        values[60 : 60 + frames, 0, 1] += away
-        weights.append(weights_of_outliers(time, values))
-        paths.append(smooth_by_speed(time, values, weights[-1], cutoff=6.0))
-    assert weights[0].min() > 0.8
-    assert weights[1][60, 0] < 0.3
-    assert weights[2][60, 0] < 0.05
-    assert np.abs(paths[2] - paths[0]).max() < 0.02  # m of 0.3
-    np.testing.assert_allclose(weights[2][:40], weights[0][:40])
-
-
-def test_hands_that_shake_all_the_time_are_no_outliers() -> None:
-    time = stamps(150)
-    shaken = np.zeros((150, 1, 3))
-    shaken[:, 0, 0] = 0.1 * np.sin(2.0 * np.pi * 5.0 * time)
-    assert weights_of_outliers(time, shaken).mean() > 0.9
-
-
-def test_whoever_moves_steadily_is_no_outlier() -> None:
-    time = stamps(90)
-    path = 4.0 * time[:, None, None] * [0.6, 0.0, 0.8]
-    np.testing.assert_allclose(weights_of_outliers(time, path), 1.0)

@@ -75,7 +75,7 @@ def lessons(seed: int = 0) -> list[Lesson]:
 def test_what_is_learned_survives_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stance_lessons, "_DRAWN", 15_000)  # so simple is this
+    monkeypatch.setattr(stance_lessons, "_DRAWN", 15_000)  # enough for so simple a rule
     network = learn(lessons())
     test = lessons(seed=1)[0]
     odds = network(test.inputs)[..., 0]

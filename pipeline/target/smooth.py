@@ -70,12 +70,11 @@ def travel_of(time: Array, joints: Array, skeleton: Skeleton) -> Array:
 
 
 def weights_of_outliers(time: Array, values: Array) -> Array:
-    """Return weights (T, J) of joint paths [m] (T, J, 3), low where a joint darts off.
+    """Return weights (T, J) of joint paths [m] (T, J, 3), low for brief outliers.
 
-    Distances from the running median, which ignores what is brief, count relative to
-    how large they usually are around then, which has weight 1: a Hampel filter (Pearson
-    2002, IEEE Trans. Control Syst. Technol. 10) with the weights of a Cauchy
-    distribution.
+    A joint's distance from the running median is compared with its usual distance
+    around that time, which has weight 1, as in a Hampel filter (Pearson 2002, IEEE
+    Trans. Control Syst. Technol. 10); the weights are those of a Cauchy distribution.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     brief, around = (
