@@ -15,7 +15,7 @@ from kinefilter.characters.rotations import continuous, inverse, normalize, rota
 from kinefilter.characters.skeleton import SIDES
 
 from .poses import LEFT, RIGHT, Pose
-from .puppet import Puppet
+from .puppet import Puppet, Trunk
 
 _TISSUE = 0.01  # m that two parts may overlap: skin and clothes give way
 _BLURS, _ROUNDS = 2, 3  # passes of smoothing, and displacements in each pass
@@ -30,14 +30,15 @@ _FOREARM = ("Wrist", "Hand")
 
 def clear_arms(puppet: Puppet, pose: Pose, fps: float) -> Pose:
     """Return a motion (one axis of frames) with the arms moved out of other parts."""
+    trunk, turns = puppet.without_arms(pose)
     for _ in range(_BLURS):
         scripted = pose
         for _ in range(_ROUNDS):
-            before, positions = pose, puppet.solve(pose)[1]
+            before, positions = pose, puppet.with_arms(pose, trunk, turns)[1]
             for side in (LEFT, RIGHT):
                 push = _smooth(_displacement(puppet, positions, side), fps)
                 if push.any():
-                    pose = _pushed(puppet, pose, positions, side, push)
+                    pose = _pushed(puppet, pose, trunk, positions, side, push)
             if pose is before:
                 break
         pose = _smoothed(scripted, pose, fps)
@@ -104,7 +105,9 @@ def _smooth(push: Array, fps: float) -> Array:
     return np.asarray(blurred * np.minimum(longest / norm, _MOST_STRETCHED)[:, None])
 
 
-def _pushed(puppet: Puppet, pose: Pose, joints: Array, side: int, push: Array) -> Pose:
+def _pushed(
+    puppet: Puppet, pose: Pose, trunk: Trunk, joints: Array, side: int, push: Array
+) -> Pose:
     """Return the motion with one hand moved by ``push`` [m], elbow direction kept."""
     index = puppet.body.skeleton.index
     shoulder, elbow, wrist = (
@@ -113,9 +116,9 @@ def _pushed(puppet: Puppet, pose: Pose, joints: Array, side: int, push: Array) -
     fore = wrist - elbow
     fore = fore * (puppet.forearm(side) / np.linalg.norm(fore, axis=1))[:, None]
     pole = elbow - (shoulder + wrist) / 2.0
-    pole = rotate(inverse(puppet.trunk(pose).thorax), pole)
+    pole = rotate(inverse(trunk.thorax), pole)
     pole = pole * np.array([1.0 - 2.0 * side, 1.0, 1.0]) + [1e-3, -1e-3, 0.0]
-    arm, bend = puppet.reach_world(pose, side, elbow + fore + push, pole)
+    arm, bend = puppet.reach_world(trunk, side, elbow + fore + push, pole)
     moved = np.any(push != 0.0, axis=1)
     arms, elbows = pose.arm.copy(), pose.elbow.copy()
     arms[moved, side], elbows[moved, side] = arm[moved], bend[moved]

@@ -27,6 +27,7 @@ from kinefilter.characters.rotations import (
     unit,
     wxyz_from_matrix,
 )
+from kinefilter.characters.skeleton import SIDES
 
 from .poses import LEFT, RIGHT, Arm, Pose
 
@@ -57,6 +58,9 @@ class Trunk(NamedTuple):
     lower: Array  # lower spine, (..., 4)
     thorax: Array  # upper spine and rib cage, (..., 4)
     neck: Array  # joint between the shoulders, (..., 3)
+
+
+Turns = dict[str, Array]  # world rotations (wxyz) by segment
 
 
 class Puppet:
@@ -129,10 +133,9 @@ class Puppet:
         return self.put_hand(pose, RIGHT, goal, pole)
 
     def reach_world(
-        self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
+        self, trunk: Trunk, side: int, goal: ArrayLike, pole: ArrayLike
     ) -> Arm:
         """Return ``reach`` for a goal in the world frame [m] and a pose's trunk."""
-        trunk = self.trunk(pose)
         local = rotate(inverse(trunk.thorax), np.asarray(goal, float) - trunk.neck)
         local = local * np.array([_SIDES[side], 1.0, 1.0]) / self.scale
         return self.reach(side, local, pole)
@@ -141,7 +144,8 @@ class Puppet:
         self, pose: Pose, side: int, goal: ArrayLike, pole: ArrayLike
     ) -> Pose:
         """Return the pose with a hand at a goal in the world frame [m]."""
-        return pose.with_arm(side, self.reach_world(pose, side, goal, pole))
+        arm = self.reach_world(self.trunk(pose), side, goal, pole)
+        return pose.with_arm(side, arm)
 
     def swing_leg(
         self, pose: Pose, side: int, flexion: float, abduction: float, knee: float
@@ -202,13 +206,27 @@ class Puppet:
         Rotations are those of Clip. Elbows and knees are hinges: upper and lower
         segment share the axis.
         """
+        return self.with_arms(pose, *self.without_arms(pose))
+
+    def without_arms(self, pose: Pose) -> tuple[Trunk, Turns]:
+        """Return the trunk, and the rotations of all segments that arms do not move."""
         trunk = self.trunk(pose)
         turns = {"pelvis": trunk.pelvis, "lower": trunk.lower, "thorax": trunk.thorax}
         turns["Head"] = multiply(trunk.thorax, _bend(pose.head))
         turns["Neck"] = multiply(trunk.thorax, _bend(pose.head * 0.4))
-        for side, name in enumerate(("Left", "Right")):
-            limbs = {**self._arm(pose, trunk, side), **self._leg(pose, trunk, side)}
-            turns |= {f"{stem}{name}": turn for stem, turn in limbs.items()}
+        for side, name in enumerate(SIDES):
+            legs = self._leg(pose, trunk, side)
+            turns |= {f"{stem}{name}": turn for stem, turn in legs.items()}
+        return trunk, turns
+
+    def with_arms(
+        self, pose: Pose, trunk: Trunk, turns: Turns
+    ) -> tuple[Array, Array]:
+        """Return ``solve`` of a pose, of which the rest is known (``without_arms``)."""
+        turns = dict(turns)
+        for side, name in enumerate(SIDES):
+            arms = self._arm(pose, trunk, side)
+            turns |= {f"{stem}{name}": turn for stem, turn in arms.items()}
         rows = [turns[_TRUNK.get(joint, joint)] for joint in self.body.skeleton.joints]
         rotations = np.stack(rows, axis=-2)
         return rotations, positions_from_rotations(rotations, trunk.root, self.body)
