@@ -6,6 +6,8 @@ import signal
 # The suite runs on all cores; more threads of linear algebra would only fight.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # scikit-learn's
+# Some containers set it; each command that a test starts would compile everything.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
