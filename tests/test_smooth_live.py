@@ -9,12 +9,19 @@ import pytest
 from numpy.typing import NDArray
 
 from kinefilter.characters import KINECT_V1, State, Take, standard_body
-from kinefilter.pipeline.lab.smoothing_lessons import Example, fit, measures
+from kinefilter.pipeline.lab import smoothing_lessons
+from kinefilter.pipeline.lab.smoothing_lessons import (
+    Example,
+    example_of,
+    fit,
+    measures,
+)
 from kinefilter.pipeline.target.smooth import smooth_by_speed
 from kinefilter.pipeline.target.smooth_live import MOVING, LiveSmoother
 
 Array = NDArray[np.float64]
 REST = standard_body(KINECT_V1).rest_positions
+HAND = KINECT_V1.index("HandLeft")
 
 
 def stamps(rate: float, seconds: float, seed: int = 0) -> Array:
@@ -70,19 +77,17 @@ def test_a_walking_trunk_is_smoothed_and_a_moving_hand_is_not_late() -> None:
     time = np.arange(150) / 30.0
     noise = np.random.default_rng(5).normal(scale=0.005, size=(150, *REST.shape))
     path = REST + np.outer(1.2 * time, [0.6, 0.0, 0.8])[:, None]
-    alone, hand = path.copy(), KINECT_V1.index("HandLeft")
-    alone[:, np.arange(len(KINECT_V1)) != hand] = REST[
-        np.arange(len(KINECT_V1)) != hand
-    ]
+    others, alone = np.arange(len(KINECT_V1)) != HAND, path.copy()
+    alone[:, others] = REST[others]
     leaps = []
     for joints in (path, alone):
-        found = smoothed(joints + noise, time)[60:, hand]
+        found = smoothed(joints + noise, time)[60:, HAND]
         leaps.append(np.abs(np.diff(found, 3, axis=0)).mean())
-        assert np.abs((found - joints[60:, hand]).mean(axis=0)).max() < 0.002
+        assert np.abs((found - joints[60:, HAND]).mean(axis=0)).max() < 0.002
     assert leaps[0] < 0.8 * leaps[1]
 
 
-@pytest.mark.parametrize("moved", [[KINECT_V1.index("HandLeft")], slice(None)])
+@pytest.mark.parametrize("moved", [[HAND], slice(None)])
 def test_what_is_suddenly_elsewhere_is_there_at_once(moved: Any) -> None:
     time = np.arange(60) / 30.0
     path = np.tile(REST, (60, 1, 1))
@@ -121,3 +126,14 @@ def test_lessons_learn_to_smooth_noise_without_lag() -> None:
     leaps, _, away, _ = measures(smooth, example)
     assert 0.0 < leaps < 8.0
     assert away == 0.0
+
+
+def test_lessons_aim_at_where_clips_are_smoothed_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A joint that is off for one frame does not draw live joints toward it."""
+    path, state = np.tile(REST, (60, 1, 1)), np.full((60, len(KINECT_V1)), 2, np.uint8)
+    path[30, HAND, 0] += 0.3
+    monkeypatch.setattr(smoothing_lessons, "followed", lambda *_: path)
+    take = Take(np.arange(60) / 30.0, path, state, KINECT_V1, "thrown")
+    assert np.abs(example_of(take).smooth - REST).max() < 0.01

@@ -21,7 +21,11 @@ from kinefilter.pipeline.cleaner import Cleaner
 from kinefilter.pipeline.config import CleanConfig
 from kinefilter.pipeline.correct import Corrector, Observation
 from kinefilter.pipeline.live.crowd import MEASURED_FOR
-from kinefilter.pipeline.target.smooth import smooth_by_speed, travel_of
+from kinefilter.pipeline.target.smooth import (
+    smooth_by_speed,
+    travel_of,
+    weights_of_outliers,
+)
 from kinefilter.pipeline.target.smooth_live import MOVING, STEP, LiveSmoother
 
 from .evaluate import followed
@@ -47,10 +51,10 @@ def example_of(take: Take) -> Example:
     take = take.at(distinct_stamps(take.time))
     first = take.at(take.time <= take.time[0] + MEASURED_FOR)
     joints = followed(Cleaner().until("level"), take, first)
-    sure = np.ones(joints.shape[:2])
+    weights = weights_of_outliers(take.time, joints)
     travel = travel_of(take.time, joints, take.skeleton)
     cutoff = CleanConfig().cutoff
-    smooth = smooth_by_speed(take.time, joints, sure, cutoff=cutoff, travel=travel)
+    smooth = smooth_by_speed(take.time, joints, weights, cutoff=cutoff, travel=travel)
     speed = np.linalg.norm(np.gradient(smooth, take.time, axis=0), axis=2)
     return Example(take, joints, smooth, speed)
 

@@ -7,8 +7,8 @@ from kinefilter.characters.arrays import Array
 from kinefilter.characters.motion import values_at
 
 STEP = 1.0 / 30.0  # s between the places that count
-AT_REST = np.array([0.2879, 0.2480, 0.1657, 0.0883, 0.0334, -0.0024, -0.0128])
-MOVING = np.array([0.4284, 0.1892, 0.0435, -0.0108, -0.0303, -0.0520, -0.0615])
+AT_REST = np.array([0.2777, 0.2394, 0.1617, 0.0958, 0.0435, 0.0073, -0.0082])
+MOVING = np.array([0.4259, 0.1855, 0.0503, -0.0022, -0.0277, -0.0536, -0.0684])
 """Weights of where a joint was 1 to 7 steps before, relative to where it is now, at
 rest and in motion (``pipeline.lab.smoothing_lessons``). The latter keep steady motion.
 """

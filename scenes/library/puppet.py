@@ -219,9 +219,7 @@ class Puppet:
             turns |= {f"{stem}{name}": turn for stem, turn in legs.items()}
         return trunk, turns
 
-    def with_arms(
-        self, pose: Pose, trunk: Trunk, turns: Turns
-    ) -> tuple[Array, Array]:
+    def with_arms(self, pose: Pose, trunk: Trunk, turns: Turns) -> tuple[Array, Array]:
         """Return ``solve`` of a pose, of which the rest is known (``without_arms``)."""
         turns = dict(turns)
         for side, name in enumerate(SIDES):
