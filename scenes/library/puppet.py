@@ -220,7 +220,7 @@ class Puppet:
         return trunk, turns
 
     def with_arms(self, pose: Pose, trunk: Trunk, turns: Turns) -> tuple[Array, Array]:
-        """Return ``solve`` of a pose, of which the rest is known (``without_arms``)."""
+        """Return what ``solve`` does, given what ``without_arms`` returns."""
         turns = dict(turns)
         for side, name in enumerate(SIDES):
             arms = self._arm(pose, trunk, side)
